@@ -45,10 +45,14 @@ from casadi_galerkin.problems.callables import (
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, is_limited, jumps_of, waypoints_of
 from casadi_galerkin.problems.dependence import (
+    CONTROLS,
+    POSITIONS,
+    VELOCITIES,
     check_absolute_values,
     check_controls,
     check_parameters,
     check_rates,
+    pattern,
     rows_that_depend,
 )
 from casadi_galerkin.problems.problem import ENDS, section_times, with_changes, with_values
@@ -307,9 +311,46 @@ class ControlProblem:
                 if getattr(self, name)[i] is not None:
                     raise ValueError(f"x[{i}] follows a rate: {name}[{i}] must be None, got {getattr(self, name)[i]}")
         check_controls(self._along, self.controls)
+        self._check_limits()
         check_absolute_values(self.running_cost, self.control_bounds)
         functions = [function for _, function, _ in of_velocities]
         check_parameters([*self._along, *functions, self.lagrangian, self.constraint], self.parameter_bounds)
+
+    def _check_limits(self) -> None:
+        """Refuse a control that nothing limits, so that it would act as an impulse.
+
+        Such a control has no bounds, no cost and no path constraint depends on it, and forces and rates are linear in
+        it.  What it drives then changes at once and at no cost.  This is no optimum where that is given at an end, or
+        where nothing else depends on it, as in least time; where all paths cost the same, any path is one.  What a path
+        constraint with equal bounds determines is not known; and held controls are no impulses.
+        """
+        users, d, rated = [self.running_cost, self.path_constraint[0]], self.dimension, slice(self.mechanical, None)
+        costs = pattern(self.running_cost, POSITIONS).any() or pattern(self.running_cost, VELOCITIES).any()
+        nothing_to_gain = not costs and self.terminal_cost is None and self.duration_bounds is None
+        if self.hold or nothing_to_gain or np.equal(*self.path_constraint[1:]).any():
+            return
+        drives = np.vstack([pattern(rule, CONTROLS) for rule in (self.force, self.rates)])
+        by_x, by_v, by_u = (
+            np.any(np.vstack([pattern(user, k) for user in users]), axis=0) for k in (POSITIONS, VELOCITIES, CONTROLS)
+        )
+        limited = by_u | np.isfinite(self.control_bounds).any(axis=0)
+        limited |= np.any(drives[rated] & by_v[rated, None], axis=0)
+        bounded = np.isfinite(self.position_bounds).any(axis=0)
+        motions = np.append(by_v[: self.mechanical], (by_x | bounded)[rated])
+        velocities = np.array([self.start_velocity, self.end_velocity], dtype=float)
+        ends = np.where(np.arange(d) < self.mechanical, velocities, self.given_positions)
+        given = np.isfinite(ends).any(axis=0)
+        *_, u = symbols = self.force.sx_in()[:4]
+        p = self.force.sx_in()[4:]
+        slopes = ca.jacobian(ca.vertcat(*(rule(*symbols, *p) for rule in (self.force, self.rates))), u)
+        for i in np.flatnonzero(~limited):
+            impulsive = np.any(drives[:, i] & given) or not np.any(drives[:, i] & motions)
+            if impulsive and not ca.depends_on(slopes[:, int(i)], u[int(i)]):
+                raise ValueError(
+                    f"nothing limits the control u[{i}], so that it would act as an impulse: neither running_cost nor "
+                    f"path_constraint depends on it, and it has no bounds. Give control_bounds, or a running_cost that "
+                    f"depends on it, such as 1e-3 * u[{i}] ** 2"
+                )
 
     def _check_given(self) -> None:
         """Refuse given values that contradict others; move ends that leave their bounds by rounding to the bounds."""
@@ -340,6 +381,44 @@ class ControlProblem:
             self._check_end_state(k, name)
         ends_given = self.start, self.start_velocity, self.end, self.end_velocity
         self._check_values("end condition {} is {} with the ends given", self.end_conditions, ends_given)
+        if self.end_conditions[1]:
+            self._check_free_ends(np.array(ends_given, dtype=float).ravel())
+
+    def _check_free_ends(self, ends: np.ndarray) -> None:
+        """Refuse end conditions that no values of the free ends, NaN of (x_0, v_0, x_N, v_N), can meet together.
+
+        Equations are counted.  What is linear in a single free value is compared with the other limits of this value.
+        """
+        (g, low, high), d, free = self.end_conditions, self.dimension, np.isnan(ends)
+        uses = np.hstack([pattern(g, k) for k in range(g.n_in())])
+        open_ones = np.append(free, np.full(uses.shape[1] - len(ends), self.parameter_bounds is not None))
+        uses &= open_ones
+        equal = np.equal(low, high) & uses.any(axis=1)
+        count, rank = int(np.count_nonzero(equal)), ca.sprank(ca.sparsify(ca.DM(uses[equal].astype(float))))
+        if rank < count:
+            raise ValueError(
+                f"end_conditions with equal bounds are {count}, but only {rank} can be met by the "
+                f"{counted(int(np.count_nonzero(open_ones)), 'value')} free at the ends: leave out some, or free more "
+                "with None"
+            )
+        symbols, p = ca.SX.sym("ends", len(ends)), [] if self.parameters is None else [self.parameters]
+        values = g(*ca.vertsplit(symbols, d), *p)
+        slopes = ca.jacobian(values, symbols)
+        offsets, steps = map(np.array, ca.Function("at", [symbols], [values, slopes])(np.nan_to_num(ends)))
+        limits = np.full((2, 4, d), [[[-np.inf]], [[np.inf]]])
+        limits[:, ::2] = np.array(self.position_bounds)[:, None]
+        least, most = limits.reshape(2, -1)
+        for i in np.flatnonzero(uses.sum(axis=1) == 1).tolist():
+            k = int(np.argmax(uses[i]))
+            if k >= len(ends) or ca.depends_on(slopes[i, k], symbols[k]):
+                continue
+            sides = sorted((side - offsets[i, 0]) / steps[i, k] for side in (low[i], high[i]))
+            least[k], most[k] = max(least[k], sides[0]), min(most[k], sides[1])
+            if least[k] - most[k] > FEASIBLE * max(abs(least[k]), abs(most[k])):
+                raise ValueError(
+                    f"end condition {i} contradicts the position_bounds or another end condition: together they ask "
+                    f"for {('x0', 'v0', 'x1', 'v1')[k // d]}[{k % d}] >= {least[k]:g} and <= {most[k]:g}"
+                )
 
     def _check_end_state(self, end: int, name: str) -> None:
         """Refuse a given state at an end that violates a path constraint without controls, or is not tangent."""

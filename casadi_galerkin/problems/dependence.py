@@ -20,6 +20,11 @@ def entries_of(function: ca.Function, argument: int) -> set[int]:
     return {i for k in range(function.n_out()) for i in function.sparsity_jac(argument, k).get_col()}
 
 
+def pattern(function: ca.Function, argument: int) -> np.ndarray:
+    """Which values of a Function depend on which entries of an argument; (values, entries)."""
+    return np.array(ca.DM(function.sparsity_jac(argument, 0), 1.0), dtype=bool)
+
+
 def rows_that_depend(function: ca.Function | None, argument: int, chosen: ArrayLike) -> np.ndarray:
     """Which values of a Function depend on the chosen entries of an argument, (values,); that of None has no values."""
     if function is None:
