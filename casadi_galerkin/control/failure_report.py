@@ -5,23 +5,28 @@ Of a solver's last point they name what is violated worst, and when.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain, located
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.functional.buffers import interrupts_raised
+from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import CONTROLS, POSITIONS, VELOCITIES, entries_within
+from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
 INVALID = "Invalid Number Detected"
+OUT_OF_ITERATIONS = "Maximum Iterations Exceeded"
 UNITS = "The solver's tolerances are absolute: take units in which cost, lengths, times and masses are near one"
 NO_PATH = (
     "There may be no path within these ends and bounds; else try a guess nearer to it, several `starts`, or units in "
@@ -75,6 +80,11 @@ def explained(
         state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
     if hint is OTHER_HINT:
         hint = kink_hint(problem) or (hint + UNBOUNDED if cost < 0 else hint)
+    if optimum.status == OUT_OF_ITERATIONS:
+        state += (
+            f". Its max_iter allows {optimum.iterations} iterations: take "
+            f"solver=cg.ipopt.with_options(max_iter={2 * optimum.iterations}) for more"
+        )
     stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"
     return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)
 
@@ -134,6 +144,49 @@ def refuse_values(problem: ControlProblem, embedding: ChainEmbedding, values: di
                 f"{name} is not finite at the guess: {np.array(found)[:, k]} at t = {when.ravel()[k]:.6g}. "
                 "Give a guess that avoids it"
             )
+
+
+def undefined(
+    problem: ControlProblem, path: PiecewisePolynomial, control: ControlPath, parameters: tuple[float, ...] | None
+) -> str | None:
+    """Say where a callable is not finite along a path, between its nodes, with the path and its controls in bounds."""
+    parts = sampling_parts(path.degree)[1:-1]
+    t, x, v = path.sampled(parts)
+    x, u = (
+        np.clip(values, *(np.reshape(side, (-1, 1)) for side in bounds))
+        for values, bounds in ((x, problem.position_bounds), (control.at(parts), problem.control_bounds))
+    )
+    p = () if parameters is None else (parameters,)
+    named = {
+        "running_cost": problem.running_cost,
+        "force": problem.force,
+        "rates": problem.rates,
+        "path_constraint": problem.path_constraint[0],
+        "lagrangian": problem.lagrangian,
+    }
+    (total,) = at_places(_summed(*named.values()), t, x, v, u, shared=p)
+    if np.isfinite(total).all():
+        return None
+    k = int(np.argmin(np.isfinite(total[0])))
+    at = [t[k], x[:, k], v[:, k], u[:, k]]
+    for name, function in named.items():
+        value = np.array(function(*at[: 3 if name == "lagrangian" else 4], *p)).ravel()
+        if not np.isfinite(value).all():
+            return (
+                f"{name} is {value[~np.isfinite(value)][0]} between the points of the path at t = {t[k]:.6g}, where "
+                f"x = {x[:, k].tolist()}. Keep the path away from there with position_bounds or a path_constraint, or "
+                "take more intervals"
+            )
+    return None  # values that are finite, and so large that their sum is not
+
+
+@lru_cache(8)
+def _summed(*functions: ca.Function) -> ca.Function:
+    """(t, x, v, u[, p]) -> the sum of all values, finite where all of them are; the last Function takes no controls."""
+    t, x, v, _, *p = symbols = functions[0].sx_in()
+    *along, lagrangian = functions
+    values = [f(*symbols) for f in along] + [lagrangian(t, x, v, *p)]
+    return ca.Function("summed", symbols, [ca.sum1(ca.vertcat(*values))])
 
 
 def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray) -> None:

@@ -109,12 +109,18 @@ def check_count(chain: Chain, bounds: ProgramBounds) -> None:
     equations = int(np.count_nonzero(np.equal(*bounds.equations))) - passed
     unknowns = int(np.count_nonzero(np.less(*bounds.unknowns))) - passed
     if equations > unknowns:
+        fixed = np.equal(*bounds.unknowns[:, chain.fields["controls"]]).all()
         tied = int(np.count_nonzero(np.equal(*bounds.equations[:, chain.rows["path"]])))
         advice = "take more intervals, a higher degree or more controls, or free a component"
         if tied:
             advice = (
                 f"{tied} of them are path_constraint with equal bounds, at every quadrature point: leave out the "
                 "controls that they determine, or state what positions alone have to meet as `constraint`"
+            )
+        if fixed:
+            advice = (
+                "control_bounds whose sides are equal leave no control free, and the start alone determines the path: "
+                "give control_bounds with room, or free the end with None"
             )
         raise ValueError(
             f"{counted(equations, 'equation')} for {counted(unknowns, 'unknown')} on "

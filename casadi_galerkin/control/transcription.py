@@ -26,7 +26,7 @@ from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import violations
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.error_estimate import HigherDegree
-from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives, refuse_values
+from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives, refuse_values, undefined
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.higher_degree import from_near, perturbed, raised
 from casadi_galerkin.control.initial_guess import first_values, near_answer
@@ -237,9 +237,13 @@ class ControlTranscription:
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
         breakpoints = tuple(joints[chain.breaks].tolist())
         found = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
+        control = self._over_time(joints, chain.control_times, values["controls"])
         off = off_constraint(found, path)
         if off is not None:
             raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
+        reason = undefined(problem, path, control, parameters)
+        if reason is not None:
+            raise ConvergenceError(f"no path was found: {reason}", Path(path), math.inf, optimum.iterations)
         others = np.zeros((chain.dimension - mechanical, len(joints)))
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T if len(others) else others.T
@@ -260,7 +264,7 @@ class ControlTranscription:
             find_errors=partial(estimated_errors, solver),
             cost=report.cost,
             cost_size=report.cost_size,
-            control=self._over_time(joints, chain.control_times, values["controls"]),
+            control=control,
             costate=chain.costate(multipliers, optimum.bound_multipliers, report.arriving, joints),
             path_multipliers=self._path_multipliers(multipliers, joints),
             duals=(multipliers, optimum.bound_multipliers),

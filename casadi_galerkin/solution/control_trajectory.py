@@ -369,13 +369,27 @@ class ControlTrajectory(Trajectory):
                 f"ControlTrajectory of {size} and {n} on {spanned(self.t)}, {counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  cost        {self.cost:.12g}, {self._kind()}",
-                f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",
+                f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, {self._variation()}",
                 *self._accuracy(),
                 *self._between_points(),
                 f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, violation {self.violation:.1e}",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]
         )
+
+    def _variation(self) -> str:
+        """By how much the Hamiltonian varies, and whether it does so only because breakpoints have given times."""
+        whole, problem = np.ptp(self.hamiltonian), self.problem
+        between = max(np.ptp(part) for part in self._hamiltonian_of_sections)
+        timed = [name for name in ("waypoints", "jumps", "breakpoints") if getattr(problem, name)]
+        if problem.duration_bounds is not None or not problem.autonomous or not timed or between > whole / 2:
+            return f"varies by {whole:.1e}"
+        return f"varies by {between:.1e} between the {timed[0]}, where it changes as their times are given"
+
+    @property
+    def _hamiltonian_of_sections(self) -> list[np.ndarray]:
+        """The Hamiltonian on the intervals between breakpoints, one array for each section."""
+        return np.split(self.hamiltonian, np.searchsorted(self.t, self.problem.breakpoints))
 
     def _accuracy(self) -> list[str]:
         """A line on the errors of cost and path, if they are known, or that this mesh does not resolve the path."""
@@ -424,8 +438,7 @@ class ControlTrajectory(Trajectory):
         """Variation of the Hamiltonian, where it should be constant between breakpoints, times the duration."""
         if self.problem.hold or not self.problem.autonomous:  # held controls are optimal in the mean only
             return 0.0
-        parts = np.split(self.hamiltonian, np.searchsorted(self.t, self.problem.breakpoints))
-        return float(max(np.ptp(part) for part in parts) * np.ptp(self.t))
+        return float(max(np.ptp(part) for part in self._hamiltonian_of_sections) * np.ptp(self.t))
 
     @property
     def _truncation_error(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from control_problems import (
@@ -323,6 +324,32 @@ def test_odd_but_legal_problem_has_its_exact_cost(name):
     assert path.cost == pytest.approx(cost, rel=1e-8, abs=1e-12 if cost == 0 else 0)  # late: t keeps 10 digits of h
     assert path.violation <= 1e-8
     assert "cost" in str(path)
+
+
+def test_fixed_controls_between_given_ends_are_refused_before_any_solve():
+    with pytest.raises(
+        ValueError, match=r"25 equations for 23 unknowns .* control_bounds whose sides are equal leave no"
+    ):
+        cg.solve(double_integrator(control_bounds=(1, 1)), cg.Galerkin(3), intervals=8)
+
+
+def hole(x):
+    """Not a number near x = 0.37."""
+    return 1e-3 * ca.sqrt((x[0] - 0.37) ** 2 - 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("running_cost", {"running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + hole(x)}),
+        ("force", {"force": lambda t, x, v, u: u[0] + hole(x)}),
+        ("path_constraint", {"path_constraint": (lambda t, x, v, u: hole(x), -1, 5)}),
+        ("lagrangian", {"lagrangian": lambda t, x, v: v[0] ** 2 / 2 + hole(x)}),
+    ],
+)
+def test_a_callable_that_is_not_finite_between_the_points_is_an_error(name, changes):
+    with pytest.raises(cg.ConvergenceError, match=rf"{name} is nan between .* at t = 0.41\d*, where x = \[0.37\d+\]"):
+        cg.solve(double_integrator(**changes), cg.Galerkin(3), 2)
 
 
 def test_more_equations_than_unknowns_are_refused():

@@ -1,5 +1,6 @@
 """The answer of a trajectory optimization: Hamiltonian, costate, replay, the problem found, summary and plot."""
 
+import re
 from dataclasses import replace
 
 import casadi as ca
@@ -235,6 +236,17 @@ def test_a_hamiltonian_that_should_be_constant_shows_what_no_derivative_sees(hol
         10,
     )
     assert ("NOT RESOLVED: the Hamiltonian, which should be constant, varies by" in repr(blind)) is not hold
+
+
+def test_a_hamiltonian_that_varies_because_of_given_times_says_so():
+    passing = cg.solve(double_integrator(waypoints=[(0.3, [0.9])]), cg.Galerkin(3), 10)
+    assert np.ptp(passing.hamiltonian) > 100
+    assert re.search(
+        r"Hamiltonian .* varies by \S+e-1\d between the waypoints, .* as their times are given", repr(passing)
+    )
+    timed = double_integrator(breakpoints=[0.3], force=lambda t, x, v, u: u * (1 + ca.if_else(t < 0.3, 0, v[0])))
+    for plain in (timed, double_integrator()):
+        assert "times are given" not in repr(cg.solve(plain, cg.Galerkin(3), 10))
 
 
 @pytest.mark.usefixtures("headless")
