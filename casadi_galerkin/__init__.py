@@ -55,6 +55,8 @@ from casadi_galerkin.studies.trade import trade as trade
 from casadi_galerkin.studies.trade_table import Row as Row
 from casadi_galerkin.studies.trade_table import Trade as Trade
 
+__version__ = "0.1.0"
+
 _PUBLIC = sorted(
     name for name, value in globals().items() if not name.startswith("_") and not hasattr(value, "__path__")
 )

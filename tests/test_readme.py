@@ -1,6 +1,8 @@
 """The code of the README and of every guide runs and prints the numbers beside it; their links lead somewhere."""
 
 import re
+import shutil
+import subprocess
 
 import pytest
 from paths import EXAMPLES, ROOT
@@ -76,6 +78,15 @@ def test_a_stated_number_that_is_not_printed_is_found():
 @pytest.mark.parametrize("document", [README, *(guide for guide in GUIDES if "```python" in read(guide))], ids=name)
 def test_documents_with_code_state_numbers_that_are_checked(document):
     assert any(stated_numbers(code) for code in code_blocks(document))
+
+
+def test_git_ignores_what_the_code_of_the_first_page_writes(tmp_path):
+    written = sorted({match for match in re.findall(r"(?<![\w/])\w+\.(?:csv|png|gif)\b", read(README))})
+    assert {"lambert.csv", "lambert.png", "pendulum.csv", "swings.png"} <= set(written)
+    shutil.copy(ROOT / ".gitignore", tmp_path)
+    subprocess.run(["git", "init", "--quiet", tmp_path], check=True)
+    ignored = subprocess.run(["git", "-C", tmp_path, "check-ignore", *written], capture_output=True, text=True)
+    assert ignored.stdout.split() == written
 
 
 def prose(document):

@@ -192,7 +192,7 @@ def sweep(
     tol: float | None = None,
     executor: Executor | None = None,
 ) -> Sweep:
-    """Solve many variations of one problem; in a terminal a progress bar appears where it lasts.
+    """Solve many variations of one problem; in a terminal or a notebook a progress bar appears where it lasts.
 
     Whatever becomes of one variation, the answers of the others are kept.  An interrupt (Ctrl-C) ends the sweep, which
     returns what it has, unless CasADi swallows it, as it does now and then.

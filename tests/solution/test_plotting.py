@@ -260,6 +260,22 @@ def test_points_of_another_shape_are_refused():
         planar().solve().animate(lambda x: x)
 
 
+def test_a_picture_changes_nothing_for_the_users_own(monkeypatch):
+    import matplotlib as mpl
+    import matplotlib.pyplot as plt
+
+    subplots, before = plt.subplots, dict(mpl.rcParams)
+
+    def first(*sizes, **options):
+        mpl.interactive(True)  # as the backend of a notebook does when it makes the first figure
+        return subplots(*sizes, **options)
+
+    monkeypatch.setattr(plt, "subplots", first)
+    monkeypatch.setitem(mpl.rcParams, "interactive", False)
+    planar().solve().plot()
+    assert dict(mpl.rcParams) == before | {"interactive": True}
+
+
 def test_without_labels_components_are_numbered_and_the_title_is_the_path():
     problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2, (0.0, 1.0), [0.0, 1.0], [1.0, 3.0])
     axes = cg.solve(problem, cg.Galerkin(2), 4).plot()

@@ -1,4 +1,4 @@
-"""Bars of long calculations: each has one in a terminal, and none where nobody sees it or it would flash."""
+"""Each long calculation has a bar in a terminal, and none where nobody sees it or it would flash; see test_notebook."""
 
 import io
 import sys
@@ -40,3 +40,11 @@ def test_no_bar_is_shown_where_nobody_sees_it_or_it_would_flash(terminal, monkey
     for run in LONG.values():
         run()
     assert terminal is None or terminal.getvalue() == ""
+
+
+def test_a_worker_shows_none_beside_that_of_its_parent(monkeypatch):
+    monkeypatch.setattr(progress, "PATIENT", 0.0)
+    monkeypatch.setattr(progress, "parent_process", lambda: "that of a worker")
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    LONG["refinement"]()
+    assert sys.stderr.getvalue() == ""

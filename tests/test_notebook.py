@@ -1,0 +1,57 @@
+"""What a notebook shows, in a kernel of its own: every figure, and the bars of long calculations."""
+
+from pathlib import Path
+
+import pytest
+
+import casadi_galerkin as cg
+
+pytestmark = pytest.mark.slow  # a kernel starts in seconds, and needs what `pip install '.[notebook]'` brings
+
+SOLVED = """
+import matplotlib.pyplot as plt
+import casadi_galerkin as cg
+path = cg.solve(cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0]), cg.Galerkin(2), 4)
+"""
+
+
+@pytest.fixture
+def shown(monkeypatch, tmp_path):
+    """Run cells in a fresh kernel; returns what each one shows: types of content, and names of streams."""
+    import nbformat
+    from nbclient import NotebookClient
+
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # a kernel chooses its own
+    monkeypatch.setenv("PYTHONPATH", str(Path(cg.__file__).parents[1]))
+
+    def run(*cells):
+        notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+        NotebookClient(notebook, resources={"metadata": {"path": str(tmp_path)}}).execute()
+        return [
+            [kind for output in cell.outputs for kind in output.get("data", {output.get("name"): None})]
+            for cell in notebook.cells
+        ]
+
+    return run
+
+
+OWN, FIGURE, BAR = "text/html", "image/png", "application/vnd.jupyter.widget-view+json"
+SHORT = "cg.solve(path.problem, tol=1e-6);"
+LONG = "from casadi_galerkin.solution import progress; progress.PATIENT = 0.0; " + SHORT
+
+
+@pytest.mark.parametrize("first", ["path", "path.plot();"])
+def test_every_figure_is_shown_once_and_a_bar_where_a_calculation_lasts(shown, first):
+    cells = {
+        first: [OWN] if first == "path" else [FIGURE],
+        "cg.panels(2);": [FIGURE],
+        "plt.plot([1, 2]);": [FIGURE],
+        "path.plot_phase(); path": [OWN, FIGURE],
+        "plt.figure(); plt.plot([1, 2]);": [FIGURE],
+        SHORT: [],
+        LONG: [BAR],
+        "plt.ioff(); path.plot();": [],
+    }
+    _, *outputs = shown(SOLVED, *cells)
+    seen = [[kind for kind in output if kind != "text/plain"] for output in outputs]
+    assert dict(zip(cells, seen, strict=True)) == cells
