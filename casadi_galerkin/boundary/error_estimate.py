@@ -118,17 +118,15 @@ def _joined(graph: BoundaryGraph, path: PiecewisePolynomial, steps: list[np.ndar
 def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
     """Estimate the roundoff error of a path, relative to the size of its components.
 
-    It is the root mean square, over a few choices of random signs, of the largest |∇²S⁻¹ r|.  There r is either an
-    error of every equation of `ROUNDING` times eps times the sizes of its terms, or what `rounding_samples` measures;
-    the larger mean counts.  The true error was measured at 0.1 to 5 times that, or less by chance or symmetry.
+    It is the root mean square, over a few choices of random signs, of the largest |∇²S⁻¹ r|, where r is an error of
+    every equation of `ROUNDING` times eps times the sizes of its terms (`Linearization.rounding_effects`).
     """
     unknowns, data = point.solution.unknowns, point.solution.data
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
-        moved = at.rounding_effects(ROUNDING * EPS * at.terms(unknowns, data))
-        moved = np.array((moved, at.solve(*at.rounding_samples(unknowns, data))))
-    largest = np.max(np.abs(moved) / graph.stationarity.sizes(unknowns, data), axis=2)
-    floor = float(np.max(np.sqrt(np.mean(largest**2, axis=1)))) + EPS
+        moved = ROUNDING * at.rounding_effects(unknowns, data)
+    largest = np.max(np.abs(moved) / graph.stationarity.sizes(unknowns, data), axis=1)
+    floor = float(np.sqrt(np.mean(largest**2))) + EPS
     return floor if math.isfinite(floor) else math.inf
 
 

@@ -22,6 +22,7 @@ DEFECT_TOLERANCE = 1e-3  # accepted defect of a solution, over its right-hand si
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
 # factor on the regularization of a condition, see `_regularized`; 1e-6 and 1e-8 left larger errors
 REGULARIZATION = 1e-7
+HALF_DIGITS = EPS**0.5
 
 
 class LinearSolver:
@@ -114,7 +115,8 @@ class LinearSolver:
             scaled_rhs = self._generic_rhs / self._measure(scale)
             step, softest = ca.horzsplit(self._solution(method, matrix, ca.horzcat(gradient, scaled_rhs)))
             whole = ca.vertcat(step, ca.MX.zeros(self.numbering.size - self.numbering.free))
-            sizes = self._measure(ca.fmax(scale, self.largest(whole)))
+            reached = ca.fmax(scale, self.largest(whole))
+            sizes = self._measure(ca.fmax(reached, HALF_DIGITS * self._mattering(matrix, reached)))
             outputs = {"step": step, "softest_direction": softest, "sizes": sizes, "norm": ca.norm_inf(step / sizes)}
             outputs["defect"] = self._defect(matrix, step, gradient)
             self._kept[key] = self._function("newton_step", inputs, outputs)
@@ -145,6 +147,24 @@ class LinearSolver:
         values = ca.reshape(inputs["u"].get_nz(False, of_nodes.T.ravel().tolist()), of_nodes.shape)
         return self._function("largest", inputs, {"scale": ca.vertcat(*map(ca.norm_inf, ca.horzsplit(values)))})
 
+    @cached_property
+    def diagonal(self) -> list[np.ndarray]:
+        """Numbers of the nonzeros of ∇²S on its diagonal, for each component of the path."""
+        row, column = (np.array(index, dtype=int) for index in self.sparsity.get_triplet())
+        numbers = np.flatnonzero((row == column) & (row < self.numbering.positions))
+        of = self.numbering.component[row[numbers]]
+        return [numbers[of == c] for c in range(self.numbering.dimension)]
+
+    def _mattering(self, matrix: ca.MX, scale: ca.MX) -> ca.MX:
+        """Size at which each component would matter as much as the one that matters most, from their sizes; (d,).
+
+        With stiffnesses K on the diagonal it is max_d √K_d |x_d| / √K_c: by Cauchy and Schwarz, the terms of all
+        components in an equation of component c are at most K_c times that, and so is their rounding over eps.
+        """
+        roots = [ca.sqrt(ca.norm_inf(matrix.nz[n.tolist()])) if len(n) else ca.MX(0) for n in self.diagonal]
+        stiffness = ca.vertcat(*roots)
+        return ca.if_else(stiffness > 0, ca.norm_inf(stiffness * scale) / stiffness, scale)
+
     def _expanded(self, scale: ca.MX, further: ca.MX) -> ca.MX:
         """One value per unknown, from one per component of the path and those of the further unknowns."""
         along = scale.get_nz(False, self.numbering.component[: self.numbering.positions].tolist())
@@ -170,14 +190,15 @@ class LinearSolver:
         """(matrix, u, terms) -> (floor, scale, product): the roundoff floor of every entry of ∇S.
 
         It is eps times the sizes of the terms that ∇S sums, and times |∇²S||ξ|, because the rounding of ξ itself
-        counts.  |ξ| stands for the size of each unknown's component along the path.  A component that counts as zero
-        is measured by `ZERO`: relative to its own size, its residual would never come down to roundoff.  A multiplier
-        is at least as large as the terms it balances.
+        counts.  |ξ| stands for the size at which each unknown's component would matter.  A path that counts as zero is
+        measured by `ZERO`: relative to its own size, its residual would never come down to roundoff.  A multiplier is
+        at least as large as the terms it balances.
         """
         inputs = self.symbols("matrix", "u", "terms")
         matrix, u, terms = inputs.values()
         positions, last = self.numbering.positions, self.numbering.positions + self.numbering.multipliers
-        scale = ca.fmax(self._expanded(self.largest(u), ca.fabs(u[positions : self.numbering.free])), ZERO)
+        mattering = self._mattering(matrix, self.largest(u))
+        scale = ca.fmax(self._expanded(mattering, ca.fabs(u[positions : self.numbering.free])), ZERO)
         sizes = ca.fabs(matrix)
         if self.numbering.multipliers:
             acting, stiffness = sizes[:positions, positions:last], ca.fmax(ca.diag(sizes)[:positions], ZERO)
@@ -190,11 +211,12 @@ class LinearSolver:
 
     @cached_property
     def verification(self) -> ca.Function:
-        """(gradient, matrix, u, terms, softest_direction) -> (residual, regularity).
+        """(gradient, matrix, u, terms, softest_direction) -> (residual, regularity, importance).
 
         The largest entry of ∇S over its roundoff floor, and yᵀ∇²S y for y = `softest_direction` over a bound of
         |y|ᵀ|∇²S||y|.  A regularity of zero or NaN tells nothing: where a component has a single unknown, its one term
-        in the Hessian has nothing to be compared with.
+        in the Hessian has nothing to be compared with.  The importance of a component is its size over that at which it
+        would matter; (d,).
         """
         inputs = self.symbols("gradient", "matrix", "u", "terms", "softest_direction")
         gradient, matrix, u, terms, y = inputs.values()
@@ -208,7 +230,9 @@ class LinearSolver:
             product = ca.mtimes(ca.fabs(matrix), scale)
         quotient = ca.fabs(ca.bilin(matrix, y, y)) / ca.dot(scale, product)
         comparable = ca.mmin(path) > ZERO if self.numbering.positions > self.numbering.dimension else ca.MX(0)
+        largest = self.largest(u)
         outputs = {"residual": residual, "regularity": ca.if_else(comparable, quotient, 0)}
+        outputs["importance"] = largest / ca.fmax(self._mattering(matrix, largest), ZERO)
         return self._function("verification", inputs, outputs)
 
     @cached_property

@@ -4,8 +4,10 @@ The natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Probl
 
 A solution is accepted if every residual is within `ACCEPTED` times its own roundoff floor, eps times the sizes of
 the terms it sums and of what the rounding of the unknowns themselves does to it, |H||ξ|, with H of the last iterate.
-Where terms cancel within the derivatives of L, their sizes are not known, and the floor is measured.  A component that
-is zero but for such rounding is set to zero.
+A component is measured by its size ‖x_c‖.  But its equations are rounded like those of the component that matters most
+for the energy: with stiffnesses K on the diagonal of H, it would matter as much at the size max_d √K_d ‖x_d‖ / √K_c.
+Newton's method ends where steps are roundoff, measured by at least √eps times that size, and a component that is not
+above rounding of it, `ROUNDED`, is set to zero.
 """
 
 from __future__ import annotations
@@ -15,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of
-from casadi_galerkin.functional.numbering import Data, Numbering
+from casadi_galerkin.calculus.roundoff import EPS, TINY
+from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
 from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearization, Stationarity, joined
@@ -27,9 +29,7 @@ QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it
 SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
 STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = 1e-7
-UNCHANGED = 1e-8  # change of ∇²S over its entries that may count as none
-BLURRED = 1e-3  # part of a component that the rounding of its equations may change
-LAST_STEPS = 10  # most steps once components that are rounding alone are set to zero: the path is near by then
+ROUNDED = 4 * EPS  # size of a component, over that at which it would matter, up to which it is zero
 DRIFT = 10.0  # bound of the second variation's change, over what the last two steps show; along families at most 0.7
 
 
@@ -54,8 +54,9 @@ class Solution:
     report : what was used to find it
     action, momentum : S, and the momenta at the joints, component fastest
     regularity : second variation along a direction near the softest one, over a bound of the sum of its terms, for the
-        last iterate's Hessian, less what the last step may have changed.  Far above zero the Hessian is regular; zero,
-        a negative number or NaN tells nothing
+        last iterate's Hessian, less what the last step may have changed; times the size of the least component over
+        that at which it would matter.  Rounding changes the path by about eps over that; zero, a negative number or NaN
+        tells nothing
     """
 
     unknowns: np.ndarray
@@ -84,15 +85,7 @@ def damped_newton(
     Arguments and failures are those of a `Solver`.
     """
     with stationarity.linearization(linear_solver) as linear:
-        try:
-            return _iterate(linear, guess, data, verbose, max_iter)
-        except SolveFailure as failure:
-            at = linear.newton_step(failure.unknowns, data)
-            every = np.ones(stationarity.functional.numbering.dimension, dtype=bool)
-            solution = _with_zero_components(linear, at, data, failure.iterations, every)
-            if solution is None:
-                raise
-            return solution
+        return _iterate(linear, guess, data, verbose, max_iter)
 
 
 def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int, max_iter: int) -> Solution:
@@ -108,10 +101,6 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             solution = verified(linear, end, data, iteration, NEWTON, drift)
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
-                return solution
-        if at.norm >= last / 2:
-            solution = _with_rounded_components(linear, at, data, iteration)
-            if solution is not None:
                 return solution
         last, whole = at.norm, None
         if damping == 1.0 and (at.norm < SHORT or iteration == 1):
@@ -135,129 +124,6 @@ def _contracts(norm: float, then: float) -> bool:
     if norm < QUADRATIC:
         return math.isfinite(then)
     return then <= norm * (CONTRACTION if norm < SHORT else STRONG_CONTRACTION)
-
-
-def _with_rounded_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
-    """The solution where only some components still change, by what rounding does to them; None otherwise."""
-    going = _still_changing(linear.stationarity.functional.numbering, at)
-    if np.all(going):
-        return None
-    solution, x = _with_zero_components(linear, at, data, iterations, going), at.unknowns + at.step
-    if solution is not None:
-        return solution
-    linear.return_to(at)
-    blurred = _blurred(linear, x, data, _rounding_floors(linear, x, data)[2])
-    return verified(linear, x, data, iterations, NEWTON, DRIFT) if blurred <= BLURRED else None
-
-
-def _with_zero_components(
-    linear: Linearization, at: Iterate, data: Data, iterations: int, candidates: np.ndarray
-) -> Solution | None:
-    """Solve with those components set to zero that are zero but for rounding; None if there are none, or it fails.
-
-    Where a component should be zero, but terms of other components cancel in its equations, rounding keeps it from
-    being zero, and its steps are never small relative to its size.  The same happens with given ends such as sin(π),
-    which are then set to zero, too.  Of the `candidates`, (d,), it is tried whether they are such components.  They
-    are if their equations hold up to rounding where they are zero, and if that changes ∇²S by no more than `UNCHANGED`,
-    so that the solution with zeros is the one that Newton's method is near.
-    """
-    if not math.isfinite(at.norm):
-        return None
-    resting = _resting(linear.stationarity.functional.numbering, data)
-    nothing, data = _zero_components(linear, at.unknowns, data, candidates, resting)
-    if not np.any(nothing):
-        return None
-    zeroed = linear.newton_step(np.where(nothing, 0.0, at.unknowns), data)
-    if not _same_matrix(linear, zeroed.matrix, at.matrix):
-        return None
-    for _ in range(LAST_STEPS):
-        if not math.isfinite(zeroed.norm):
-            return None
-        x = np.where(nothing, 0.0, zeroed.unknowns + zeroed.step)
-        if np.max((np.abs(zeroed.step) / zeroed.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
-            gradient, floor, least = _rounding_floors(linear, x, data, resting)
-            action, momentum, _, regularity = linear.verification(x, data)
-            residual = float(np.max(np.abs(gradient) / np.where(nothing, least, floor)))
-            solution = Solution(x, data, iterations, residual, NEWTON, action, momentum, regularity)
-            return solution if residual <= ACCEPTED else None
-        zeroed = linear.newton_step(x, data)
-    return None
-
-
-def _resting(numbering: Numbering, data: Data) -> np.ndarray:
-    """Which components have given ends that are exactly zero, if any; (d,)."""
-    ends = np.abs(np.concatenate(data[:2]))
-    return largest_of(ends, numbering.component[numbering.free :], numbering.dimension) == 0
-
-
-def _zero_components(
-    linear: Linearization, x: np.ndarray, data: Data, candidates: np.ndarray, resting: np.ndarray
-) -> tuple[np.ndarray, Data]:
-    """Which unknowns belong to candidates whose equations hold where all of these are zero, and data with zero ends.
-
-    Given ends count as zero where they are not larger than what rounding of the equations does to the component.
-    """
-    numbering, chosen, u = linear.stationarity.functional.numbering, candidates.copy(), joined(x, data)
-    component, free = numbering.component, numbering.free
-    while np.any(chosen):
-        nothing = chosen[component]
-        nothing[numbering.positions : free] = False
-        unknowns, *ends = numbering.parted(np.where(nothing, 0.0, u))
-        zeroed = (*ends, *data[2:])
-        gradient, _, least = _rounding_floors(linear, unknowns, zeroed, resting)
-        effects = np.abs(linear.rounding_effects(least)).max(axis=0)
-        large = effects > math.sqrt(EPS)  # of a number of size one: by what steps at zero, as a kink
-        missed = (np.abs(gradient) > ACCEPTED * least) | (resting[component[:free]] & large)
-        blurred = ACCEPTED * _of_components(numbering, effects)
-        failed = nothing & np.append(missed, np.abs(u[free:]) > blurred[component[free:]])
-        if not np.any(failed):
-            return nothing[:free], zeroed
-        chosen[component[failed]] = False
-    return np.zeros(free, dtype=bool), data
-
-
-def _rounding_floors(
-    linear: Linearization, x: np.ndarray, data: Data, resting: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """∇S, the roundoff floors of its entries, and those that include the rounding within the derivatives of L; (n,).
-
-    Of the latter, all equations of a component have the largest.  For `resting` see `rounding_samples`.
-    """
-    numbering = linear.stationarity.functional.numbering
-    gradient, floor = linear.stationarity.gradient_and_floor(x, data)
-    least = np.fmax(floor, np.abs(linear.rounding_samples(x, data, resting)).max(axis=0))
-    least[: numbering.positions] = _of_components(numbering, least)[numbering.component[: numbering.positions]]
-    return gradient, floor, least
-
-
-def _blurred(linear: Linearization, x: np.ndarray, data: Data, floors: np.ndarray) -> float:
-    """Largest change of an unknown, over its size, by errors of the equations as large as these floors."""
-    return float(np.max(np.abs(linear.rounding_effects(floors)) / linear.stationarity.sizes(x, data), initial=0.0))
-
-
-def _same_matrix(linear: Linearization, matrix: np.ndarray, other: np.ndarray) -> bool:
-    """Whether the nonzeros of two ∇²S differ by at most `UNCHANGED` of the largest entries of their components."""
-    functional = linear.stationarity.functional
-    numbering, d = functional.numbering, functional.numbering.dimension
-    row, column = (np.array(index, dtype=int) for index in functional.sparsity.get_triplet())
-    along = np.fmax(row, column) < numbering.positions
-    block = numbering.component[row[along]] * d + numbering.component[column[along]]
-    entries, changes = (
-        largest_of(np.abs(values[along]), block, d * d).reshape(d, d) for values in (matrix, matrix - other)
-    )
-    sizes = np.sqrt(np.diag(entries))
-    return bool(np.all(changes <= UNCHANGED * np.outer(sizes, sizes)))
-
-
-def _of_components(numbering: Numbering, values: np.ndarray) -> np.ndarray:
-    """Largest of the values (n,) that belong to each component of the path; (d,)."""
-    count = numbering.positions
-    return largest_of(values[:count], numbering.component[:count], numbering.dimension)
-
-
-def _still_changing(numbering: Numbering, at: Iterate) -> np.ndarray:
-    """Which components a Newton step still changes by so much that the next one would not be roundoff; (d,)."""
-    return _of_components(numbering, np.abs(at.step) / at.sizes) ** 2 > EPS
 
 
 def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
@@ -324,12 +190,6 @@ def _failed(linear: Linearization, at: Iterate, data: Data, iteration: int, reas
     """Report why there is no solution: a singular Hessian, whose steps are anything, or else another reason."""
     if softest(linear, at.unknowns, data)[1] < SINGULAR:
         return SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
-    numbering = linear.stationarity.functional.numbering
-    going, sizes = _still_changing(numbering, at), _of_components(numbering, at.sizes)
-    if np.any(going) and not np.all(going) and at.norm < SHORT:
-        rest = ", ".join(f"x[{i}], of size {sizes[i]:.1e}" for i in np.flatnonzero(going))
-        reason += f", though all has converged but {rest}: rounding of the others may be all that moves it"
-        reason += ", and where an end of it is meant to be zero, give exactly 0"
     return SolveFailure(reason, at.unknowns, iteration)
 
 
@@ -338,16 +198,21 @@ def verified(
 ) -> Solution | None:
     """Judge the residuals at x by their roundoff floors: a solution, or None.
 
-    Where they are above the floors of the terms, by the measured ones, if these leave at least three digits of x.
     Hessian and softest direction are those of the last `newton_step`, at x or before a step that changed the second
-    variation by up to `drift` of its terms.
+    variation by up to `drift` of its terms.  Components that are `ROUNDED` are set to zero, with their ends, if that is
+    a solution as well.
     """
-    action, momentum, residual, regularity = linear.verification(x, data)
-    if residual > ACCEPTED:
-        gradient, _, least = _rounding_floors(linear, x, data)
-        if not _blurred(linear, x, data, least) <= BLURRED:
-            return None
-        residual, regularity = float(np.max(np.abs(gradient) / least)), 0.0
+    action, momentum, residual, regularity, importance = linear.verification(x, data)
     if not residual <= ACCEPTED:
         return None
-    return Solution(x, data, iterations, residual, report, action, momentum, regularity - drift)
+    rounded = (importance > 0) & (importance <= ROUNDED)
+    if np.any(rounded):
+        numbering, u = linear.stationarity.functional.numbering, joined(x, data)
+        along = np.where(rounded[numbering.component], 0.0, u)
+        along[numbering.positions : numbering.free] = u[numbering.positions : numbering.free]
+        unknowns, *ends = numbering.parted(along)
+        zeroed = verified(linear, unknowns, (*ends, *data[2:]), iterations, report, drift)
+        if zeroed is not None:
+            return zeroed
+    least = np.min(importance, where=importance > 0, initial=1.0)
+    return Solution(x, data, iterations, residual, report, action, momentum, float(least * (regularity - drift)))

@@ -31,7 +31,6 @@ from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 Built = TypeVar("Built")
 
 ACCEPTED = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
-RESTING = 4 * EPS  # distance that a component at rest at zero is moved: the rounding of places up to eight units away
 SIGN_SAMPLES = 4  # number of random choices of the signs of rounding errors for an estimate of their effect
 
 
@@ -132,7 +131,7 @@ class Linearization:
     """The arrays of one solve, which its methods overwrite.
 
     ∇S (`gradient`) is that of the last point at which a method evaluated it: `newton_step`, `relinearize`,
-    `simplified_step`, `terms`, `rounding_samples` and `verification` do.  ∇²S (`matrix`) is that of the last
+    `simplified_step`, `terms`, `rounding_effects` and `verification` do.  ∇²S (`matrix`) is that of the last
     `newton_step` or `relinearize`, the weighted one of the last `weight_inertia`, or the one restored by `return_to`;
     the other methods keep it.  The softest direction is that of the last `newton_step` or `return_to`.  `solve`,
     `refined` and `rounding_effects` solve with the present ∇²S, and `simplified_step` with the present ∇²S and a new
@@ -260,14 +259,14 @@ class Linearization:
         step, length, nonlinearity = (self._arrays[name] for name in ("simplified", "length", "nonlinearity"))
         return step.copy(), length.item(), nonlinearity.item()
 
-    def verification(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float]:
-        """S, momenta at the joints and residual at a point; regularity of ∇²S at the last iterate."""
+    def verification(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float, np.ndarray]:
+        """S, momenta, residual and importance of components at a point; before the last, the last ∇²S's regularity."""
         self._evaluate("summary", unknowns, data)
         key = ("verification",)
         (self._evaluators.get(key) or self._bind(key, self.stationarity.linear_solver.verification)).run()
-        names = "action", "momentum", "residual", "regularity"
-        action, momentum, residual, regularity = (self._arrays[name] for name in names)
-        return action.item(), momentum.copy(), residual.item(), regularity.item()
+        names = "action", "momentum", "residual", "regularity", "importance"
+        action, momentum, residual, regularity, importance = (self._arrays[name].copy() for name in names)
+        return action.item(), momentum, residual.item(), regularity.item(), importance
 
     def evaluate(self, name: str, unknowns: np.ndarray, data: Data, *further: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the functional's own Functions without changing ∇S and ∇²S; returns copies."""
@@ -309,31 +308,21 @@ class Linearization:
         residuals = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(solutions, rhs, strict=True)]
         return [y + correction for y, correction in zip(solutions, self.solve(*residuals), strict=True)]
 
-    def rounding_samples(self, unknowns: np.ndarray, data: Data, resting: np.ndarray | None = None) -> np.ndarray:
-        """Changes of ∇S where unknowns and ends are rounded in other ways, one for each choice of signs; evaluates ∇S.
+    def rounding_effects(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Changes of the unknowns by rounding of the terms of ∇S at a point, by eps and with random signs.
 
-        They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.  Components
-        that are `resting`, (d,), have no size of their own: zeros of them are moved together by `RESTING`.
+        ∇²S must be that at the point.  Terms may cancel within the derivatives of L, which do not tell their sizes.  So
+        those of each component are taken to be as large as the other components' at the same node, with forces measured
+        by the square roots of stiffnesses.  Returns a change for each of `SIGN_SAMPLES` choices of the signs, (·, n).
         """
-        numbering, u = self.stationarity.functional.numbering, joined(unknowns, data)
-        shifts = np.zeros(len(u))
-        if resting is not None:
-            shifts[resting[numbering.component] & (u == 0)] = RESTING
-            shifts[numbering.positions : numbering.free] = 0.0
-        signs, gradients = np.random.default_rng(len(unknowns)), np.empty((SIGN_SAMPLES, len(unknowns)))
-        for gradient in gradients:
-            x, *ends = numbering.parted(u * (1 + signs.choice((-EPS, EPS), len(u))) + shifts)
-            self.terms(x, (*ends, *data[2:]))
-            gradient[:] = self.gradient
-        self.terms(unknowns, data)
-        return gradients - self.gradient
-
-    def rounding_effects(self, terms: np.ndarray) -> np.ndarray:
-        """Changes of the unknowns, with the present ∇²S, by errors of the equations of sizes `terms` and random signs.
-
-        Returns one change for each of `SIGN_SAMPLES` choices of the signs, (SIGN_SAMPLES, n).
-        """
-        signs = np.random.default_rng(len(terms)).choice((-1.0, 1.0), (SIGN_SAMPLES, len(terms)))
+        linear, terms = self.stationarity.linear_solver, self.terms(unknowns, data)
+        numbering, positions = linear.numbering, linear.numbering.positions
+        stiffness = np.sqrt([np.max(np.abs(self.matrix[entries]), initial=0.0) for entries in linear.diagonal])
+        shared = np.append(terms, np.zeros(numbering.size - numbering.free))[numbering.of_nodes]
+        shared = np.max(np.divide(shared, stiffness, out=np.zeros(shared.shape), where=stiffness > 0), axis=1)
+        of_others = stiffness[numbering.component[:positions]] * shared[numbering.place // numbering.dimension]
+        terms[:positions] = np.fmax(terms[:positions], of_others)
+        signs = np.random.default_rng(len(terms)).choice((-EPS, EPS), (SIGN_SAMPLES, len(terms)))
         return np.array(self.solve(*(signs * terms)))
 
 

@@ -423,16 +423,6 @@ def test_a_rule_with_points_on_a_named_jump_is_told_so():
     assert cg.solve(problem, cg.Galerkin(4, quadrature=cg.gauss(5)), tol=1e-12).error_estimate <= 1e-12
 
 
-def test_a_singular_matrix_of_the_higher_degree_halves_every_interval():
-    """The mass grows by a factor of 1e294 from the middle to the ends, and the first estimate was infinite."""
-    layer = cg.BoundaryProblem(
-        lambda t, x, v: ca.exp(t**2 / 1.47e-3) * (v[0] ** 2 + x[0] ** 2) / 2, (-1.0, 1.0), [1.0], [3.0]
-    )
-    path = cg.solve(layer, tol=5e-4)
-    value = 1.99377370633  # 2 / M(-ε/2, 1/2, -1/2ε), with Kummer's function, for the mass exp(t²/2ε)
-    assert abs(path(0.0)[0] - value) <= 3 * path.error_estimate  # relative to the largest value
-
-
 @pytest.mark.parametrize(("named", "tol"), [(True, 1e-3), (True, 1e-9), (False, 1e-3), (False, 1e-6)])
 def test_a_pivot_moved_along_a_spline_is_followed_with_and_without_its_knots(named, tol):
     """A pendulum in Cartesian coordinates; the same one by its angle is the reference."""
