@@ -6,6 +6,7 @@ import subprocess
 
 import pytest
 from paths import EXAMPLES, ROOT
+from slow import slow
 
 README = ROOT / "README.md"
 GUIDES = sorted((EXAMPLES / "guides").glob("*.md"))
@@ -56,7 +57,7 @@ def run(code, document, shared):
     exec(compile(code, str(document), "exec"), shared)
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+@pytest.mark.parametrize("document", [README, *slow(*GUIDES)], ids=name)
 def test_code_runs_in_order_and_prints_the_numbers_beside_it(document, monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)  # pictures that the code saves go there

@@ -25,6 +25,7 @@ from scenes import TROESCH
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize
 from scipy.special import chdtri
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -881,13 +882,20 @@ def run(tmp_path_factory) -> Callable[[str], Run]:
     patch.undo()
 
 
-@pytest.mark.parametrize(("name", "check", "claim"), TABLE, ids=[claim for _, _, claim in TABLE])
+FIRST = "lambert"  # the scene of the README's first command; all others are slow
+
+
+@pytest.mark.parametrize(
+    ("name", "check", "claim"),
+    [*(row for row in TABLE if row[0] == FIRST), *slow(*(row for row in TABLE if row[0] != FIRST))],
+    ids=[claim for _, _, claim in TABLE],
+)
 def test_scene_shows_what_it_claims(run, name, check, claim):
     scene = run(name)
     check(scene.module, scene.answer)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", [FIRST, *slow(*(name for name in SCENES if name != FIRST))])
 def test_scene_run_alone_prints_its_answer_and_leaves_its_picture(run, name):
     scene = run(name)
     assert scene.printed
@@ -919,6 +927,7 @@ def test_every_scene_is_in_the_table():
     assert sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem != "gallery") == SCENES
 
 
+@pytest.mark.slow
 def test_what_can_be_saved_was_saved_by_a_scene(run):
     """As it can be read again: an orbit, what an actuator does, a comparison, a trade, a sweep."""
     orbit, force = (
