@@ -48,7 +48,7 @@ from casadi_galerkin.stepping.geometry import geometry as geometry
 from casadi_galerkin.stepping.shooting import shoot as shoot
 from casadi_galerkin.studies.comparison import Comparison as Comparison
 from casadi_galerkin.studies.comparison import compare as compare
-from casadi_galerkin.studies.distribution import CutShort as CutShort
+from casadi_galerkin.studies.parallel import CutShort as CutShort
 from casadi_galerkin.studies.sweep import Sweep as Sweep
 from casadi_galerkin.studies.sweep import sweep as sweep
 from casadi_galerkin.studies.trade import trade as trade

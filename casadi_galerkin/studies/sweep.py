@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -22,14 +23,18 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.studies.distribution import (
+from casadi_galerkin.studies.parallel import (
     Answer,
-    Batch,
     CutShort,
+    Run,
     Stated,
     Variation,
-    checked_pickle,
+    answered,
+    by_executor,
+    here,
     in_words,
+    picklable,
+    picklable_problem,
     solver_of,
     varied,
 )
@@ -201,8 +206,8 @@ def sweep(
     ----------
     problem : BoundaryProblem or ControlProblem
     variations : dicts of what differs from the problem: `start`, `end`, `parameters`, `t_span`; the velocities and
-        momenta at the ends, and the energy, where the problem states them; and `guess`, as for `solve`, which with a
-        process pool has to be picklable (an array, a Trajectory, a module's function)
+        momenta at the ends, and the energy, where the problem states them; and `guess`, as for `solve`, which for an
+        executor has to be picklable (an array, a Trajectory, a module's function)
     method, intervals : as for `solve`
     tol : as for `solve`; each variation of a boundary problem without a guess of its own starts from the path and the
         mesh of the nearest one that is solved, and so stays on its branch; see `Sweep.jumps`.  With a given energy, a
@@ -240,15 +245,19 @@ def sweep(
     given = [_checked(problem, i, variation) for i, variation in enumerate(variations)]
     checked, problems = [variation for variation, _ in given], tuple(other for _, other in given)
     arguments = (problem, method, intervals, tol)
-    solver = solver_of(*arguments)  # refuses here what would fail in every worker
-    batch = Batch(solver, checked, problems)
-    with progress("sweep", len(checked)) as batch.advance, suppress(KeyboardInterrupt):
-        if executor is None:
-            batch.solve_here()
-        else:
-            batch.solve_by(executor, checked_pickle(arguments))
+    run: Run = partial(here, solver_of(*arguments))  # refuses here what would fail in every worker
+    if executor is not None:
+        run = partial(by_executor, executor, picklable_problem(*arguments))
+        for i, variation in enumerate(checked):
+            picklable(f"the guess of variation {i}", variation.get("guess"), "give an array or a module's function")
+    neighbors = [other for other in problems if isinstance(other, BoundaryProblem)] if tol is not None else []
+    answers = dict[int, Answer]()
+    with progress("sweep", len(checked)) as advance, suppress(KeyboardInterrupt):
+        for i, answer in answered(run, checked, neighbors or None):
+            answers[i] = answer
+            advance(1)
     cut_short = CutShort("the sweep was interrupted before this variation was solved")
-    return Sweep(tuple(batch.answers.get(i, cut_short) for i in range(len(checked))), problems)
+    return Sweep(tuple(answers.get(i, cut_short) for i in range(len(checked))), problems)
 
 
 def _checked(problem: Stated, number: int, variation: Variation) -> tuple[Variation, Stated]:

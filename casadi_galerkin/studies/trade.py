@@ -33,7 +33,7 @@ from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
-from casadi_galerkin.studies.distribution import checked_pickle
+from casadi_galerkin.studies.parallel import picklable_problem
 from casadi_galerkin.studies.reference import AnyProblem, Measure, Reference, ReferenceSolution, finer, quantity
 from casadi_galerkin.studies.trade_table import Row, Trade
 
@@ -68,7 +68,7 @@ def _cell(problem: AnyProblem, written: bytes, row: Row, guess: Guess | None, me
     seconds: list[float] = []
     try:
         for _ in range(FIRST_CALLS):
-            fresh = pickle.loads(written)  # a deep copy would share its Functions
+            (fresh,) = pickle.loads(written)  # a deep copy would share its Functions
             began = time.perf_counter()
             path = row.solve(fresh, guess)
             seconds.append(time.perf_counter() - began)
@@ -104,7 +104,7 @@ def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
 
 def _cells(problem: AnyProblem, ways: list[Row], guess: Guess | None, measure: Measure | None) -> list[_Cell]:
     """All ways, and then those on the meshes that tolerances have found, solved and repeated."""
-    cells, waiting, written = list[_Cell](), list(ways), checked_pickle(problem)
+    cells, waiting, written = list[_Cell](), list(ways), picklable_problem(problem)
     with progress("trade", (1 + REPEATS) * (len(ways) + len([way for way in ways if way.adaptive]))) as advance:
         while waiting:
             cells.append(_cell(problem, written, waiting.pop(0), guess, measure))

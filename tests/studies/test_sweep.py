@@ -19,6 +19,7 @@ from sent_guesses import arched, deadly, dividing, pushed, unbuildable, unpickla
 import casadi_galerkin as cg
 
 METHOD, INTERVALS = cg.Galerkin(degree=4), 6
+PARALLEL = import_module("casadi_galerkin.studies.parallel")
 
 
 def interrupted(t):
@@ -42,18 +43,14 @@ def pool():
 
 
 class Recorder(Executor):
-    """Runs what it is given later and backwards, and keeps it."""
+    """Runs what it is given here, backwards, and keeps it."""
 
     def __init__(self):
         self.given = []
 
-    def submit(self, fn, /, *args):
-        future = Future()
-        self.given.append((future, fn, args))
-        if len(self.given) == self.expected:
-            for future, fn, args in reversed(self.given):
-                future.set_result(fn(*args))
-        return self.given[-1][0]
+    def map(self, fn, *iterables, **_):
+        self.given += zip(*iterables, strict=True)
+        return reversed([fn(*given) for given in reversed(list(zip(*iterables, strict=True)))])
 
 
 def identical(one, other):
@@ -199,19 +196,6 @@ def test_another_branch_is_told_where_the_action_changes_much_along_both(step):
     assert abs(found[0].action - found[1].action) > 1
     variations = [{"parameters": [step * k], "guess": found[k >= 3]} for k in range(6)]
     assert list(cg.sweep(problem, variations, cg.Galerkin(8), 20).jumps) == [3]
-
-
-def leave(t):
-    """A guess that ends the process."""
-    raise SystemExit(3)
-
-
-def test_a_guess_that_ends_the_process_ends_its_own_solve_only():
-    problem = BY_NAME["short pendulum"].problem
-    swept = cg.sweep(problem, [{"end": [2.0]}, {"end": [3.0], "guess": leave}], cg.Galerkin(3), 4)
-    assert swept[0].x[0, -1] == 2.0
-    assert isinstance(swept[1], cg.CutShort)
-    assert "SystemExit(3)" in str(swept[1])
 
 
 def test_the_other_way_round_the_sun_is_another_branch_of_the_same_index():
@@ -415,27 +399,20 @@ def test_a_process_pool_takes_ends_spans_guesses_and_tolerances(pool):
 
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 200, 3300])
-def test_chunks_hold_everything_once_whatever_their_order_of_arrival(count, monkeypatch):
-    module = import_module("casadi_galerkin.studies.distribution")
-    monkeypatch.setattr(module, "_unpickled", lambda _: lambda variation, known: variation["parameters"][0])
+def test_chunks_hold_everything_once_whatever_the_order_in_which_they_are_solved(count, monkeypatch):
+    monkeypatch.setattr(PARALLEL, "_unpickled", lambda _: lambda variation, known: variation["parameters"][0])
     executor = Recorder()
-    size = min(50, -(-count // 64))
-    executor.expected = -(-count // size)
     variations = [{"parameters": [float(i)]} for i in range(count)]
     answers = cg.sweep(bratu_problem(), variations, METHOD, INTERVALS, executor=executor)
     assert list(answers) == list(range(count))
-    assert len(executor.given) == executor.expected
-    assert max(len(arguments[1]) for _, _, arguments in executor.given) <= 50
+    assert min(count, 32) < len(executor.given) + 1 <= 65
 
 
 def test_a_worker_builds_one_graph_for_all_its_chunks(monkeypatch):
-    module = import_module("casadi_galerkin.studies.distribution")
-    built, transcribe = [], module.transcribe
-    monkeypatch.setattr(module, "transcribe", lambda *given: built.append(1) or transcribe(*given))
-    module._unpickled.cache_clear()
-    executor = Recorder()
-    executor.expected = 5
-    cg.sweep(bratu_problem(), VARIATIONS[:1] * 5, METHOD, INTERVALS, executor=executor)
+    built, transcribe = [], PARALLEL.transcribe
+    monkeypatch.setattr(PARALLEL, "transcribe", lambda *given: built.append(1) or transcribe(*given))
+    PARALLEL._unpickled.cache_clear()
+    cg.sweep(bratu_problem(), VARIATIONS[:1] * 5, METHOD, INTERVALS, executor=Recorder())
     assert len(built) == 2  # one here, to refuse bad input early, and one by the worker
 
 
@@ -445,11 +422,11 @@ class Inline(Executor):
     def __init__(self, fails):
         self.fails, self.given = fails, []
 
-    def submit(self, fn, /, *args):
-        self.given.append([variation["parameters"][0] for variation in args[1]])
+    def submit(self, fn, /, chunk):
+        self.given.append([variation["parameters"][0] for variation in chunk[0]])
         future, error = Future(), self.fails(self.given[-1])
         if error is None:
-            future.set_result(fn(*args))
+            future.set_result(fn(chunk))
         else:
             future.set_exception(error)
         return future
@@ -457,28 +434,17 @@ class Inline(Executor):
 
 @pytest.fixture
 def two_chunks(monkeypatch):
-    monkeypatch.setattr(import_module("casadi_galerkin.studies.distribution"), "CHUNKS", 2)
+    monkeypatch.setattr(PARALLEL, "CHUNKS", 2)
 
 
 @pytest.mark.usefixtures("two_chunks")
 def test_a_worker_that_dies_costs_the_answer_of_its_variation_only(serial):
-    variations = [*VARIATIONS[:2], {"guess": deadly}, *VARIATIONS[2:], {"guess": deadly}]
+    variations = [*VARIATIONS[:2], {"guess": deadly}, *VARIATIONS[2:]]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         sweep = cg.sweep(bratu_problem(), variations, METHOD, INTERVALS, executor=pool)
-    for number in (2, 8):
-        assert isinstance(sweep[number], cg.CutShort)
-        assert str(sweep[number]).startswith("the worker that solved this variation failed, BrokenProcessPool: ")
-    identical([*sweep[:2], *sweep[3:8]], serial)
-
-
-@pytest.mark.usefixtures("two_chunks")
-def test_a_worker_that_dies_of_the_first_variation_of_a_neighborhood_costs_only_that():
-    variations, places = [{"end": [1.0 + i / 10]} for i in range(8)], [0, 4]
-    for place in places:
-        variations[place]["guess"] = deadly
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        sweep = cg.sweep(bratu_problem(), variations, tol=1e-3, executor=pool)
-    assert [i for i, _ in enumerate(variations) if isinstance(sweep[i], cg.CutShort)] == places
+    assert isinstance(sweep[2], cg.CutShort)
+    assert str(sweep[2]).startswith("the worker that solved this variation failed, BrokenProcessPool: ")
+    identical([*sweep[:2], *sweep[3:]], serial)
 
 
 def test_what_a_dead_worker_leaves_stays_on_the_branch_of_its_neighbors():
@@ -487,12 +453,12 @@ def test_what_a_dead_worker_leaves_stays_on_the_branch_of_its_neighbors():
         lambda t, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 6), [0.5], [1.0], parameters=[0.1]
     )
     variations = [{"parameters": [rate]} for rate in np.linspace(0.1, 3.0, 60).tolist()]
-    here = cg.sweep(problem, variations, tol=1e-7)
-    variations[30] = variations[30] | {"guess": deadly}
+    here, center = cg.sweep(problem, variations, tol=1e-7), 28
+    variations[center] = variations[center] | {"guess": deadly}
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         sweep = cg.sweep(problem, variations, tol=1e-7, executor=pool)
-    assert list(sweep.failures) == [30]
-    others = [i for i in range(60) if i != 30]
+    assert list(sweep.failures) == [center]
+    others = [i for i in range(60) if i != center]
     np.testing.assert_allclose(sweep.action[others], here.action[others], rtol=1e-6)
 
 
@@ -502,55 +468,60 @@ def test_a_pool_whose_workers_cannot_start_is_replaced():
 
 
 @pytest.mark.usefixtures("two_chunks")
-def test_a_chunk_that_is_lost_is_solved_again_one_by_one(monkeypatch, serial):
-    """By processes that are started again where they fail."""
+def test_a_chunk_that_is_lost_is_solved_again_in_halves(monkeypatch, serial):
+    """By a process that is started again when it fails."""
     too_large, started = MemoryError("too large"), []
 
     def process(*given):
-        started.append(Inline(lambda rates: too_large if rates == RATES[1:2] else None))
+        started.append(Inline(lambda rates: too_large if RATES[1] in rates else None))
         return started[-1]
 
-    monkeypatch.setattr(import_module("casadi_galerkin.studies.distribution"), "ProcessPoolExecutor", process)
+    monkeypatch.setattr(PARALLEL, "ProcessPoolExecutor", process)
     executor = Inline(lambda rates: too_large if RATES[1] in rates else None)
     sweep = cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS, executor=executor)
     assert isinstance(sweep[1], cg.CutShort)
     assert str(sweep[1]) == "the worker that solved this variation failed, MemoryError: too large"
     identical([sweep[0], *sweep[2:]], [serial[0], *serial[2:]])
-    lost, _ = executor.given
-    assert [one.given for one in started] == [[[rate] for rate in lost[:2]], [[rate] for rate in lost[2:]]]
+    lost, whole = executor.given
+    assert [one.given for one in started] == [[lost], [lost[:2]], [lost[:1], lost[1:2]], [lost[2:], whole]]
 
 
-def test_a_pool_that_breaks_while_it_is_given_chunks_loses_none(serial):
+def test_a_pool_that_breaks_while_it_is_given_chunks_loses_none(monkeypatch, serial):
     class Breaking(Inline):
-        def submit(self, fn, /, *args):
+        def submit(self, fn, /, chunk):
             if len(self.given) == 3:
                 raise BrokenProcessPool("a child was killed")
-            return super().submit(fn, *args)
+            return super().submit(fn, chunk)
 
+    monkeypatch.setattr(PARALLEL, "ProcessPoolExecutor", lambda *given: Inline(lambda rates: None))
     executor = Breaking(lambda rates: None)
     identical(cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS, executor=executor), serial)
     assert len(executor.given) == 3
 
 
-def test_an_interrupted_worker_ends_the_sweep_and_returns_what_there_is(serial):
+def test_an_interrupted_worker_ends_the_sweep_which_returns_what_there_is(serial):
     executor = Inline(lambda rates: KeyboardInterrupt() if rates == RATES[3:4] else None)
     sweep = cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS, executor=executor)
-    assert isinstance(sweep[3], cg.CutShort)
-    assert str(sweep[3]) == "the sweep was interrupted before this variation was solved"
-    identical([*sweep[:3], *sweep[4:]], [*serial[:3], *serial[4:]])
-    assert len(executor.given) == len(VARIATIONS)
+    for answer in sweep[3:]:
+        assert isinstance(answer, cg.CutShort)
+        assert str(answer) == "the sweep was interrupted before this variation was solved"
+    identical(sweep[:3], serial[:3])
 
 
 @pytest.mark.usefixtures("two_chunks")
-def test_what_cannot_be_pickled_is_one_failure(pool):
-    variations = [{}, {"guess": unpicklable}, {"guess": unbuildable}, {"guess": lambda t: [0.0]}, {}, {}]
+def test_an_exception_that_cannot_be_pickled_is_one_failure(pool):
+    variations = [{}, {"guess": unpicklable}, {"guess": unbuildable}, {}, {}]
     sweep = cg.sweep(bratu_problem(), variations, METHOD, INTERVALS, executor=pool)
-    assert list(sweep.failures) == [1, 2, 3]
+    assert list(sweep.failures) == [1, 2]
     assert "the table is open" in str(sweep[1])
     assert "the table is closed" in str(sweep[2])
-    assert isinstance(sweep[3], cg.CutShort)
-    assert "lambda" in str(sweep[3])
-    assert pool.submit(abs, -1).result() == 1  # the pool is whole
+
+
+@pytest.mark.parametrize("guess", [lambda t: [0.0], (np.zeros(2), lambda t: [0.0])], ids=["callable", "pair"])
+def test_a_guess_that_cannot_be_pickled_is_refused_before_any_solve(guess, monkeypatch):
+    message = r"the guess of variation 1 cannot be pickled, as it must for other processes: give an array or a module's"
+    with pytest.raises(TypeError, match=message):
+        cg.sweep(bratu_problem(), [{}, {"guess": guess}], METHOD, INTERVALS, executor=Inline(pytest.fail))
 
 
 def test_an_executor_that_was_shut_down_is_refused():
@@ -612,8 +583,7 @@ def test_a_variation_is_a_dict(variation):
     ],
 )
 def test_a_variation_that_does_not_fit_is_named_before_any_solve(variation, error, message, monkeypatch):
-    module = import_module("casadi_galerkin.studies.distribution")
-    monkeypatch.setattr(module, "transcribe", lambda *given: pytest.fail("built before the input was checked"))
+    monkeypatch.setattr(PARALLEL, "transcribe", lambda *given: pytest.fail("built before the input was checked"))
     with pytest.raises(error, match=message):
         cg.sweep(bratu_problem(), [{}, variation], METHOD, INTERVALS)
 

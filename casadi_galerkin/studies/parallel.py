@@ -1,0 +1,242 @@
+"""Variations of a problem solved chunk by chunk: in this process, or by the own ``map`` of an executor of processes.
+
+Without a tolerance, chunks follow the order given.  With one, a variation starts from the path and the mesh of its
+nearest neighbor: of n variations some √n, the centers, are solved first, one after the other, and then about each of
+them a chunk of those that are nearest to it.  Chunks do not depend on who solves them, so that answers do not, either.
+
+To an executor goes the pickled problem with every chunk; each worker builds its graph once.  Nothing here knows whose
+executor it is: a process pool's, Dask's ``client.get_executor()``, mpi4py's ``MPIPoolExecutor``.  What ends a worker
+ends the whole of a process pool: what was lost is solved again by another process, in halves where that fails, too,
+until the variation that ends its worker stands alone.
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from contextlib import ExitStack, suppress
+from functools import lru_cache, partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from casadi_galerkin._solve import solve, transcribe
+from casadi_galerkin.boundary.problem_data import data_vector, nearest
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.roundoff import or_one
+from casadi_galerkin.control.refinement import first_control_discretization
+from casadi_galerkin.functional.buffers import interrupts_raised
+from casadi_galerkin.functional.threads import fork_waits
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.problem import VARIED, map_times, section_times
+from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.trajectory import Trajectory
+
+CHUNKS = 64  # of variations without neighbors: enough to keep workers busy, few enough that sending costs little
+
+Variation = Mapping[str, Any]
+Answer = Trajectory | Exception
+Known = tuple[np.ndarray, Trajectory]  # the given values of a problem, and its path
+Solve = Callable[[Variation, Sequence[Known]], Trajectory]  # of a variation, from paths that are known
+Chunk = tuple[Sequence[Variation], Sequence[Known]]  # what is solved one after the other, and paths to start from
+Run = Callable[[list[Chunk]], Iterable[Iterable[Answer]]]
+Stated = TypeVar("Stated", BoundaryProblem, ControlProblem, BoundaryProblem | ControlProblem)
+
+
+class CutShort(ConvergenceError):
+    """A solve that something else ended: its worker failed, or the sweep was interrupted.  A path may well exist.
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> issubclass(cg.CutShort, cg.ConvergenceError)
+    True
+    """
+
+
+def varied(problem: Stated, variation: Variation) -> Stated:
+    """The problem of a variation."""
+    given = {name: value for name, value in variation.items() if name in VARIED}
+    return problem.varied(given, variation.get("t_span"))
+
+
+def solver_of(
+    problem: BoundaryProblem | ControlProblem, method: Galerkin | None, intervals: int | None, tol: float | None
+) -> Solve:
+    """A function that solves a variation: on a graph built once, or, to a tolerance, on meshes refined for it."""
+    if tol is not None:
+        if isinstance(problem, BoundaryProblem):
+            return _from_neighbors(problem, method, intervals, tol)
+        # refuses here what would fail in every variation
+        first_control_discretization(problem, check_tolerance(tol), method, intervals, None, None, Limits())
+        return lambda variation, _: solve(
+            varied(problem, variation), method, intervals, tol=tol, guess=variation.get("guess")
+        )
+    if method is None or intervals is None:
+        raise ValueError(f"give a method and intervals, or tol, got method={method!r} and intervals={intervals!r}")
+    transcription = transcribe(problem, method, intervals)
+
+    def joints(start: float, end: float) -> np.ndarray:
+        if isinstance(problem, BoundaryProblem):
+            return mesh_of((start, end), intervals, None, problem.breakpoints)
+        return map_times(transcription.mesh, section_times(problem), [start, *problem.breakpoints, end])
+
+    def solved(variation: Variation, _: Sequence[Known]) -> Trajectory:
+        given = dict(variation)
+        span = given.pop("t_span", None)
+        return transcription.solve(**given, mesh=None if span is None else joints(*span))
+
+    return solved
+
+
+def _from_neighbors(problem: BoundaryProblem, method: Galerkin | None, intervals: int | None, tol: float) -> Solve:
+    """Solve to a tolerance from the nearest known path, and where that leads to none, from the straight line.
+
+    A variation with a guess of its own is solved from that, on the mesh of its neighbor; one with a guess of the free
+    duration, which chooses among the paths of an energy, has no neighbor.
+    """
+    transcription = transcribe(problem, method, intervals, tol=tol)
+
+    def solved(variation: Variation, known: Sequence[Known]) -> Trajectory:
+        own, guess = varied(problem, variation), variation.get("guess")
+        if not known or (problem.energy is not None and "t_span" in variation):
+            return transcription.found(own, guess, None)
+        values = np.array([data_vector(own), *(place for place, _ in known)])
+        _, near = known[nearest(values[0], values[1:], np.ptp(values, axis=0))]
+        try:
+            return transcription.found(own, near if guess is None else guess, near)
+        except ConvergenceError:
+            if guess is not None:
+                raise
+            return transcription.found(own, None, None)
+
+    return solved
+
+
+def _known(answers: Iterable[Answer]) -> list[Known]:
+    """Those answers from which others may start."""
+    return [(data_vector(answer.problem), answer) for answer in answers if isinstance(answer, Trajectory)]
+
+
+def here(solver: Solve, chunks: list[Chunk]) -> Iterator[Iterator[Answer]]:
+    """Solve all chunks in this process."""
+    return (_answers(solver, *chunk) for chunk in chunks)
+
+
+def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
+    """Solve variations one after the other; each may start from the answers before and from known paths."""
+    paths = list(known)
+    for variation in variations:
+        answer: Answer
+        try:
+            with interrupts_raised():
+                answer = solver(variation, paths)
+        except Exception as error:
+            error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
+            answer = error.with_traceback(None)
+        paths += _known([answer])
+        yield answer
+
+
+def picklable(what: str, given: object, remedy: str) -> bytes:
+    """What goes to other processes as bytes; a TypeError refuses what these could not read, with a remedy."""
+    try:
+        written = pickle.dumps(given)
+        pickle.loads(written)
+    except Exception as error:  # whatever the objects within raise
+        raise TypeError(f"{what} cannot be pickled, as it must for other processes: {remedy} ({error})") from error
+    return written
+
+
+def picklable_problem(*given: object) -> bytes:
+    """A problem and what goes with it as bytes; refused as by `picklable`."""
+    remedy = "let its callables use no CasADi Function that exists in this process only, such as a casadi.Callback"
+    return picklable("the problem", given, remedy)
+
+
+def in_words(error: BaseException) -> str:
+    """The kind of an error and its words."""
+    return f"{type(error).__name__}: {error}"
+
+
+@lru_cache(1)
+def _unpickled(pickled: bytes) -> Solve:
+    """A worker's own solver, kept from chunk to chunk."""
+    return solver_of(*pickle.loads(pickled))
+
+
+def _chunk(pickled: bytes, chunk: Chunk) -> list[Answer]:
+    """Solve one chunk; this is what a worker runs."""
+    with fork_waits:  # a worker of a cluster may run several chunks in threads of one process
+        return list(_answers(_unpickled(pickled), *chunk))
+
+
+def by_executor(executor: Executor, pickled: bytes, chunks: list[Chunk]) -> Iterator[list[Answer]]:
+    """Solve all chunks by an executor, and what its workers lose by a process that is started again when it fails."""
+    run, context = partial(_chunk, pickled), getattr(executor, "_mp_context", None)
+    process: ProcessPoolExecutor | None = None
+
+    def alone(variations: Sequence[Variation], known: Sequence[Known]) -> list[Answer]:
+        nonlocal process
+        process = process or started.enter_context(ProcessPoolExecutor(1, context))
+        try:
+            return process.submit(run, (variations, known)).result()
+        except Exception as error:
+            process = None
+            if len(variations) == 1:
+                return [CutShort(f"the worker that solved this variation failed, {in_words(error)}")]
+        half = len(variations) // 2
+        first = alone(variations[:half], known)
+        return [*first, *alone(variations[half:], [*known, *_known(first)])]
+
+    results, count = iter(list[list[Answer]]()), 0
+    with suppress(BrokenExecutor):  # a chunk may end its worker before the last one is sent
+        results = executor.map(run, chunks)
+    with suppress(Exception):  # of a worker that failed
+        for answers in results:
+            yield answers
+            count += 1
+    with ExitStack() as started:
+        yield from (alone(*chunk) for chunk in chunks[count:])
+
+
+def answered(
+    run: Run, variations: Sequence[Variation], problems: Sequence[BoundaryProblem] | None
+) -> Iterator[tuple[int, Answer]]:
+    """Numbers of variations and their answers, as they come.
+
+    Parameters
+    ----------
+    run : solves chunks, `here` or `by_executor`
+    variations : in their order
+    problems : what they state, where each is solved from its neighbors; else None
+    """
+
+    def solved(numbered: list[tuple[list[int], list[Known]]]) -> Iterator[tuple[int, Answer]]:
+        chunks: list[Chunk] = [([variations[i] for i in numbers], known) for numbers, known in numbered]
+        for (numbers, _), answers in zip(numbered, run(chunks), strict=True):
+            yield from zip(numbers, answers, strict=True)
+
+    count = len(variations)
+    if problems is None:
+        size = -(-count // CHUNKS) or 1
+        yield from solved([(list(range(first, min(first + size, count))), []) for first in range(0, count, size)])
+    elif count:
+        values = np.array([data_vector(problem) for problem in problems])
+        places, centers = values / or_one(np.ptp(values, axis=0)), np.arange(0, count, math.isqrt(count))
+        apart = np.array([np.sum((places - places[center]) ** 2, axis=1) for center in centers])
+        found = dict[int, Answer]()
+        for i, answer in solved([(centers[np.argsort(apart[0, centers], kind="stable")].tolist(), [])]):
+            found[i] = answer
+            yield i, answer
+        belongs, chunks = np.argmin(apart, axis=0), []
+        for k, center in enumerate(centers):
+            own = np.setdiff1d(np.flatnonzero(belongs == k), centers)
+            nearby = _known(found[i] for i in centers[np.argsort(apart[:, center], kind="stable")].tolist())
+            chunks.append((own[np.argsort(apart[k, own], kind="stable")].tolist(), nearby[:1]))
+        yield from solved(chunks)
