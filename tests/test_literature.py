@@ -3,17 +3,25 @@
 import numpy as np
 import pytest
 from paths import script
+from slow import slow
 
-TO_TOL = ["low_thrust", "regulator", "van_der_pol", "zermelo", "brachistochrone"]
-TO_COST_TOL = ["cart_pole", "hypersensitive", "moon_lander", "crane", "quadrotor", "robot_arm", "dubins", "chain"]
-TO_COST_TOL += ["hang_glider", "orbit_raising", "shuttle"]
+TO_TOL = ["low_thrust", "regulator", *slow("van_der_pol", "zermelo", "brachistochrone")]
+TO_COST_TOL = ["crane", "chain", *slow("cart_pole", "hypersensitive", "moon_lander", "quadrotor", "robot_arm")]
+TO_COST_TOL += slow("dubins", "hang_glider", "orbit_raising", "shuttle")
 literature, guesses, test_set = script("literature"), script("guesses"), script("test_set")
 
 
-@pytest.mark.parametrize(
-    ("asked", "name"), [("tol", name) for name in TO_TOL] + [("cost_tol", name) for name in TO_COST_TOL]
-)
-def test_published_cost_is_found_to_the_tolerance(asked, name, monkeypatch):
+@pytest.mark.parametrize("name", TO_TOL)
+def test_published_path_and_cost_are_found_to_the_tolerance(name, monkeypatch):
+    found_as_published("tol", name, monkeypatch)
+
+
+@pytest.mark.parametrize("name", TO_COST_TOL)
+def test_published_cost_is_found_to_the_tolerance(name, monkeypatch):
+    found_as_published("cost_tol", name, monkeypatch)
+
+
+def found_as_published(asked, name, monkeypatch):
     monkeypatch.setattr(literature, "SECONDS", 100.0)  # whatever else the machine does
     tol = 1e-6
     case = literature.CASES[name]()
@@ -24,6 +32,7 @@ def test_published_cost_is_found_to_the_tolerance(asked, name, monkeypatch):
     assert np.isnan(case.published) or case.exact == pytest.approx(case.published, rel=1e-3)  # of three digits
 
 
+@pytest.mark.slow
 def test_random_guesses_lead_to_the_same_costs_as_by_hand():
     problem = guesses.SCENES["cart-pole"][0]()
     programs = guesses.Ours(problem), guesses.ByHand(problem)
@@ -31,6 +40,7 @@ def test_random_guesses_lead_to_the_same_costs_as_by_hand():
     assert ours == pytest.approx(by_hand, rel=1e-4)  # of different discretizations
 
 
+@pytest.mark.slow
 def test_a_dozen_of_cash_s_problems_are_solved_to_the_tolerance(capsys):
     errors = test_set.main(stiffness=(1e-4,))
     assert errors.shape == (len(test_set.PROBLEMS), 2) == (12, 2)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from motions import quartic, varying_mass
 from rules import FAMILIES, OF_DEGREE, polynomial
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -102,8 +103,13 @@ def slopes(name, m, rule, densities):
     return -np.polyfit(np.log(steps), np.log(table), 1)[0]
 
 
-@pytest.mark.parametrize(("m", "rule"), CASES)
-@pytest.mark.parametrize("name", ["varying mass", "quadratic friction"])
+WITH_FRICTION = [("quadratic friction", *case) for case in CASES]
+
+
+@pytest.mark.parametrize(
+    ("name", "m", "rule"),
+    [("varying mass", *case) for case in CASES] + WITH_FRICTION[:2] + slow(*WITH_FRICTION[2:]),
+)
 def test_order_at_the_joints_is_the_smaller_of_twice_the_degree_and_the_rules(name, m, rule):
     order = expected(m, rule)[0]
     assert cg.Galerkin(m, quadrature=RULES[rule](m)).order == order
@@ -258,7 +264,7 @@ HIGH = [
 
 @pytest.mark.parametrize(
     ("name", "m", "rule", "family", "n"),
-    [(name, *case) for name in PARTIALS for case in HIGH],
+    [("varying mass", *HIGH[0]), *slow(*((name, *case) for name in PARTIALS for case in HIGH))[1:]],
 )
 def test_orders_of_high_degree(references, name, m, rule, family, n):
     steps, rows = (1, 2, 3), []
