@@ -10,6 +10,7 @@ from motions import double_pendulum, kepler
 from scenes import free_particle, oscillator
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -320,7 +321,7 @@ def missed(path):
 
 
 @pytest.mark.parametrize("problem", [held_at_the_start, held_at_the_end])
-@pytest.mark.parametrize("solver", [cg.newton, cg.rootfinder, cg.ipopt], ids=str)
+@pytest.mark.parametrize("solver", [cg.newton, *slow(cg.rootfinder, cg.ipopt)], ids=str)
 def test_a_velocity_given_beside_a_given_position_is_met_though_their_momenta_share_a_mass(problem, solver):
     path = cg.solve(problem(), METHOD, intervals=10, guess=FALLING, solver=solver)
     assert missed(path) <= 1e-12
@@ -334,7 +335,7 @@ def test_a_velocity_given_beside_a_given_position_is_met_to_a_tolerance(problem)
 
 
 @pytest.mark.parametrize("problem", [held_at_the_start, held_at_the_end])
-@pytest.mark.parametrize(("degree", "intervals"), [(1, (20, 40, 80)), (3, (10, 20, 30))])
+@pytest.mark.parametrize(("degree", "intervals"), [(1, (20, 40, 80)), *slow((3, (10, 20, 30)))])
 def test_a_velocity_given_beside_a_given_position_keeps_the_order(problem, degree, intervals):
     errors = [missed(cg.solve(problem(), cg.Galerkin(degree), intervals=n, guess=FALLING)) for n in intervals]
     assert np.polyfit(np.log(intervals), np.log(errors), 1)[0] == pytest.approx(-2 * degree, abs=0.2)

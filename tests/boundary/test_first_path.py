@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from motions import kepler, on_ellipse
 from scipy.integrate import solve_ivp
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.action_descent import retimed
@@ -43,7 +44,7 @@ def off(path, exact):
     return np.max(np.abs(path(times) - exact(times))) / np.max(np.abs(exact(times)))
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, *slow(3)])
 def test_noise_does_not_hide_a_great_circle(seed):
     problem = great_circle()
     exact = cg.solve(problem, tol=1e-9)
@@ -86,7 +87,7 @@ def test_a_guess_is_put_on_the_first_mesh_once():
     assert len(calls) == 4  # all times at once, and three of them to see whether that is what it means
 
 
-@pytest.mark.parametrize(("strength", "speed", "height"), [(101.28, 147.92, 0.878), (147.5, 193.48, 1.142)])
+@pytest.mark.parametrize(("strength", "speed", "height"), [(101.28, 147.92, 0.878), *slow((147.5, 193.48, 1.142))])
 def test_many_swings_are_found_on_a_finer_mesh_than_the_first(strength, speed, height):
     """A driven double well that swings 25 to 30 times, of which eight intervals see nothing."""
 
@@ -151,7 +152,7 @@ def pendulums(count):
     return cg.BoundaryProblem(lagrangian, (0.0, 3.0), [0.0] * count, np.linspace(0.2, 1.0, count).tolist())
 
 
-@pytest.mark.parametrize("count", [12, 20])
+@pytest.mark.parametrize("count", [12, *slow(20)])
 def test_a_row_of_pendulums_swings_from_the_straight_line(count):
     """Conjugate points lie between the ends: the action has no minimum that a descent could find."""
     path = cg.solve(pendulums(count), tol=TOL)
@@ -226,7 +227,7 @@ def forced(stiffness, start, end, force):
     return cg.BoundaryProblem(lambda t, x, v: stiffness * v[0] ** 2 / 2, (0.0, 1.0), [start], [end], force=force)
 
 
-@pytest.mark.parametrize(("stiffness", "tol"), [(1e-3, 1e-9), (1e-4, 1e-6), (1e-6, 1e-3)])
+@pytest.mark.parametrize(("stiffness", "tol"), [(1e-3, 1e-9), *slow((1e-4, 1e-6), (1e-6, 1e-3))])
 def test_a_corner_layer_is_found_under_a_growing_force(stiffness, tol):
     """Cash's test problem 20: from a straight line to a corner at 0.745, which a straight line does not tell of."""
 

@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scenes import BY_NAME, oscillator_problem
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.transcription import Transcription
@@ -127,7 +128,7 @@ def test_repeated_solves_equal_fresh_ones():
         assert (again.action, again.iterations, again.morse_index) == (fresh.action, fresh.iterations, 0)
 
 
-@pytest.mark.parametrize("degree", [30, 60])
+@pytest.mark.parametrize("degree", [30, *slow(60)])
 def test_one_interval_of_high_degree_solves_too(degree):
     path = cg.solve(BY_NAME["short pendulum"].problem, cg.Galerkin(degree), intervals=1)
     assert path.action == pytest.approx(1.3310039926528, abs=1e-13)
@@ -190,7 +191,7 @@ DEGENERATE = {
 
 
 @pytest.mark.parametrize("discretization", [{"method": cg.Galerkin(4), "intervals": 8}, {"tol": 1e-6}], ids=str)
-@pytest.mark.parametrize("end", [[1.0, 0.2], [1.0, 1.0], [1.0, None]])
+@pytest.mark.parametrize("end", [[1.0, 0.2], *slow([1.0, 1.0], [1.0, None])])
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_a_degenerate_lagrangian_is_refused_before_anything_is_solved(name, end, discretization):
     """It has no path between most ends; a zigzag that followed the mesh was returned, of Morse index 26, 35, 71."""

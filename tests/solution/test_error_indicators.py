@@ -10,6 +10,7 @@ import pytest
 from scenes import BY_NAME
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -37,7 +38,7 @@ def end_of_fall(velocity):
         x, v, left, side = 0.0, v - side * 10 * until_zero, left - until_zero, -side
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-3, 1e-9)])
 def test_a_kink_in_x_is_found_and_resolved(tol):
     """The estimate alone was 2.9e-15 at 1e-9, with a true error of 4e-5."""
     try:
@@ -51,7 +52,7 @@ def test_a_kink_in_x_is_found_and_resolved(tol):
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-6])
-@pytest.mark.parametrize("when", [0.3333, 0.777, 1.1, 1.49])
+@pytest.mark.parametrize("when", [1.1, *slow(0.3333, 0.777, 1.49)])
 def test_a_kink_in_time_is_resolved(when, tol):
     problem = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 + 50 * x[0] * ca.fmax(t - when, 0), (0, 2), [1.0], [-0.5]
@@ -69,8 +70,8 @@ def stepped(when, **given):
     )
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-8])
-@pytest.mark.parametrize("when", [0.02, 0.9, 1.1, 1.7])
+@pytest.mark.parametrize("tol", [1e-3, *slow(1e-6, 1e-8)])
+@pytest.mark.parametrize("when", [1.1, *slow(0.02, 0.9, 1.7)])
 def test_a_step_in_time_is_enclosed_by_an_interval_that_cannot_matter(when, tol):
     path, known = cg.solve(stepped(when), tol=tol), cg.solve(stepped(when, breakpoints=[when]), tol=1e-12)
     times = np.linspace(0, 2, 1001)
@@ -80,7 +81,7 @@ def test_a_step_in_time_is_enclosed_by_an_interval_that_cannot_matter(when, tol)
     assert path.t[i] - path.t[i - 1] < tol
 
 
-@pytest.mark.parametrize("when", [0.9, 1.1, 1.7])
+@pytest.mark.parametrize("when", [1.7, *slow(0.9, 1.1)])
 def test_a_step_in_time_is_refused_with_its_time(when):
     with pytest.raises(cg.LimitReached, match=r"near t = .*breakpoint") as caught:
         cg.solve(stepped(when), tol=1e-12)
@@ -119,12 +120,14 @@ def test_a_step_in_time_that_is_named_is_resolved(before, when, tol):
 @pytest.mark.parametrize(
     ("start", "end", "duration", "tol", "beside"),
     [
-        (0.5, -0.5, 1.0, 1e-2, 0.0),
-        (0.5, -0.5, 1.0, 1e-3, 1e-14),
-        (1.4456578, -1.4456578, 1.4480336, 3e-3, 1e-12),
-        (1.0, -2.0, 3.0, 1e-3, -3e-13),
-        (1.0, -2.0, 3.0, 1e-9, 0.0),
         (0.3, -0.7, 1.5, 1e-3, 0.0),
+        *slow(
+            (0.5, -0.5, 1.0, 1e-2, 0.0),
+            (0.5, -0.5, 1.0, 1e-3, 1e-14),
+            (1.4456578, -1.4456578, 1.4480336, 3e-3, 1e-12),
+            (1.0, -2.0, 3.0, 1e-3, -3e-13),
+            (1.0, -2.0, 3.0, 1e-9, 0.0),
+        ),
     ],
 )
 def test_no_path_through_the_sun_is_returned(start, end, duration, tol, beside):
@@ -149,7 +152,7 @@ def test_no_path_through_the_sun_is_returned(start, end, duration, tol, beside):
     assert np.max(np.abs(around(times) - flown.sol(times)[:2])) < 10 * tol
 
 
-@pytest.mark.parametrize("degree", [1, 2, 4, 5, 8, 11, 14])
+@pytest.mark.parametrize("degree", [1, 4, *slow(2, 5, 8, 11, 14)])
 @pytest.mark.parametrize("power", [2 / 3, 1.0, 2.0])
 def test_no_pole_hides_between_points(degree, power):
     """A pole is alike on every scale, so one interval tells what is missed on any mesh, wherever the pole is in it."""
@@ -181,7 +184,7 @@ def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
         cg.solve(problem, tol=tol, limits=cg.Limits(seconds=5))
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-3, 1e-9)])
 @pytest.mark.parametrize("name", SMOOTH)
 def test_nothing_is_said_against_a_smooth_path(name, tol):
     scene = BY_NAME[name]
@@ -393,7 +396,7 @@ def test_a_pendulum_on_a_rod_that_hangs_still_is_a_path():
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-8])
-@pytest.mark.parametrize("when", np.random.default_rng(1).uniform(0.3, 2.7, 8).round(6))
+@pytest.mark.parametrize("when", [1.528372, *slow(*np.random.default_rng(1).uniform(0.3, 2.7, 8).round(6)[1:])])
 def test_a_jump_of_a_force_in_time_is_resolved(when, tol):
     """Both degrees have points on the same sides of it: with an estimate of 1.9e-14, a path was off by 2.4e-2."""
     problem = cg.BoundaryProblem(
