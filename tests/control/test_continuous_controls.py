@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from control_problems import minimum_time, pendulum, plane
 from scipy.integrate import solve_ivp
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.continuous_controls import continuous_controls
@@ -50,7 +51,7 @@ def flown(path):
     return state
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-6])
+@pytest.mark.parametrize("tol", [1e-4, *slow(1e-6)])
 def test_an_angle_is_found_that_can_be_flown(tol):
     path = arrived(tol)
     np.testing.assert_allclose(flown(path), [2, 1, 0, 0], rtol=0, atol=tol)

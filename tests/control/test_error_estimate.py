@@ -6,12 +6,13 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import cart_pole, double_integrator, first_order, plane, resolved, true_error
+from slow import slow
 
 import casadi_galerkin as cg
 
 
 @pytest.mark.parametrize("tol", [1e-2, 1e-4])
-@pytest.mark.parametrize("degree", [4, 5])
+@pytest.mark.parametrize("degree", [4, *slow(5)])
 def test_estimate_is_sharp_on_a_smooth_path(degree, tol):
     path = cg.solve(cart_pole(), cg.Galerkin(degree), tol=tol)
     assert path.method.degree == degree
@@ -33,7 +34,7 @@ def over_bumps():
     )
 
 
-@pytest.mark.parametrize(("degree", "tol"), [(3, 1e-2), (3, 1e-4), (5, 1e-4)])
+@pytest.mark.parametrize(("degree", "tol"), [(3, 1e-2), *slow((3, 1e-4), (5, 1e-4))])
 def test_estimate_is_sharp_where_the_phases_are_free(degree, tol):
     """Positions at the same parts of a phase differ by half as much as those at the same time."""
     path = cg.solve(over_bumps(), cg.Galerkin(degree), tol=tol)
@@ -47,7 +48,7 @@ def two_rates(running_cost):
     return first_order(controls=2, running_cost=running_cost, **ends)
 
 
-@pytest.mark.parametrize("weight", [1.0, 1e-6, 1e-12])
+@pytest.mark.parametrize("weight", [1e-6, *slow(1.0, 1e-12)])
 def test_estimate_is_sharp_where_a_component_hardly_counts_in_the_cost(weight):
     """It leaves its ends within 0.03.  An optimizer stops long before it knows where, by any tolerance of the slope.
 
@@ -86,7 +87,7 @@ def test_a_duration_that_the_cost_hardly_knows_is_not_called_known():
         cg.solve(task, tol=1e-6, limits=cg.Limits(intervals=20))
 
 
-@pytest.mark.parametrize(("tol", "most"), [(1e-4, 20), (1e-6, 50)])
+@pytest.mark.parametrize(("tol", "most"), [(1e-4, 20), *slow((1e-6, 50))])
 def test_a_bound_of_a_component_whose_rate_is_controlled_needs_no_square_root(tol, most):
     """Least ∫ (u² / 2 - 4 x) dt with dx/dt = u and x below a cap, where the path a t - 2 t² arrives at rest."""
     cap = 0.3
@@ -99,7 +100,7 @@ def test_a_bound_of_a_component_whose_rate_is_controlled_needs_no_square_root(to
     assert len(path.t) <= most
 
 
-@pytest.mark.parametrize(("cap", "asked"), [(0.165817, {"cost_tol": 5.7e-3}), (0.16596, {"tol": 6.3e-4})])
+@pytest.mark.parametrize(("cap", "asked"), [(0.165817, {"cost_tol": 5.7e-3}), *slow((0.16596, {"tol": 6.3e-4}))])
 def test_a_bound_that_is_touched_for_a_short_time_at_a_joint_is_seen_to_be_exceeded(cap, asked):
     """Bryson and Denham's problem, where 4 / (9 cap) is the least cost; the arc at the bound is 1 - 6 cap long."""
     problem = double_integrator(
@@ -114,7 +115,7 @@ def test_a_bound_that_is_touched_for_a_short_time_at_a_joint_is_seen_to_be_excee
     assert np.max(path(np.linspace(0, 1, 40001))) / cap - 1 <= path.error_estimate
 
 
-@pytest.mark.parametrize(("cap", "asked"), [(0.3, 1e-8), (0.5, 1e-4), (0.8, 1e-6)])
+@pytest.mark.parametrize(("cap", "asked"), [(0.5, 1e-4), *slow((0.3, 1e-8), (0.8, 1e-6))])
 def test_what_a_bound_of_a_first_order_component_is_exceeded_by_counts_in_the_cost(cap, asked):
     """Held at the points of Gauss in place of the nodes, the same bound gives the same cost."""
     late = lambda t, x, v, u: (u**2 + 10 * (x - ca.sin(t)) ** 2) / 2  # noqa: E731
@@ -163,7 +164,7 @@ def test_a_path_constraint_that_is_not_finite_at_an_end_does_not_stop_the_refine
 
 
 @pytest.mark.parametrize("asked", [{"tol": 1e-3}, {"cost_tol": 1e-3}], ids=list)
-@pytest.mark.parametrize(("radius", "where"), [(1.2, 45.5), (0.7, 58.9), (1.1, 40.8)])
+@pytest.mark.parametrize(("radius", "where"), [(1.2, 45.5), *slow((0.7, 58.9), (1.1, 40.8))])
 def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
     """Its squared distance is exceeded by the square of its radius, which is small beside that of the path."""
     distance = lambda t, x, v, u: (x[0] - where) ** 2 + (x[1] - 0.01) ** 2  # noqa: E731
@@ -175,7 +176,7 @@ def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
 
 
 @pytest.mark.parametrize("asked", [{"tol": 1e-2}, {"cost_tol": 1e-3}], ids=list)
-@pytest.mark.parametrize("half", [0.002, 0.005])
+@pytest.mark.parametrize("half", [0.005, *slow(0.002)])
 def test_a_wall_thinner_than_an_interval_is_not_flown_through(half, asked):
     """An ellipse: to move along the path changes its distance most, and does not help."""
     wall = lambda t, x, v, u: ((x[0] - 0.53) / half) ** 2 + ((x[1] - 0.03) / 0.1) ** 2  # noqa: E731

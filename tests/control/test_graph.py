@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import cart_pole, cartesian_pendulum, everything, minimum_time, staged, two_phases
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -67,7 +68,7 @@ def test_hessian_is_casadis_own_with_no_nonzero_more(graph, somewhere):
     assert largest(whole - ca.triu2symm(own)) <= ROUNDOFF * (1 + largest(own))
 
 
-@pytest.mark.parametrize(("degree", "intervals"), [(1, 9), (4, 20), (7, 5)])
+@pytest.mark.parametrize(("degree", "intervals"), [(1, 9), (4, 20), *slow((7, 5))])
 def test_derivatives_are_block_sparse(degree, intervals):
     graph = cg.transcribe(cart_pole(), cg.Galerkin(degree), intervals).graph
     nodes, d = degree + 1, 2

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from control_problems import cart_pole, double_integrator, everything, minimum_time, pendulum, staged
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.control import transcription
@@ -36,8 +37,8 @@ def true_errors(path, fine):
     return abs(path.cost - fine.cost) / path.cost_size, np.max(np.abs(x - exact) / path.sizes[:, None])
 
 
-@pytest.mark.parametrize("intervals", [12, 24])
-@pytest.mark.parametrize("stated", [cart_pole, lambda: pendulum(3.0), lambda: pendulum(3.0, hold=True), staged])
+@pytest.mark.parametrize("intervals", [12, *slow(24)])
+@pytest.mark.parametrize("stated", [*slow(cart_pole), lambda: pendulum(3.0), lambda: pendulum(3.0, hold=True), staged])
 def test_errors_on_a_given_mesh_are_known_when_asked_for(stated, intervals):
     path = cg.solve(stated(), cg.Galerkin(3), intervals)
     assert (path.error_estimate, path.cost_error) == (None, None)

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import NEAR, cart_pole, double_integrator, first_order, minimum_time, pendulum, plane
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.initial_guess import first_values, near_answer
@@ -37,7 +38,7 @@ def test_guess_may_be_a_callable_an_array_or_an_earlier_trajectory(guess):
     assert path.cost == pytest.approx(6, abs=1e-10)
 
 
-@pytest.mark.parametrize("size", [0.1, 1e-5])
+@pytest.mark.parametrize("size", [1e-5, *slow(0.1)])
 @pytest.mark.parametrize("rule", [cg.gauss(2), cg.lobatto(2)], ids=["gauss", "lobatto"])
 def test_a_component_that_vanishes_is_found_from_a_guess_where_it_does_not(rule, size):
     """What is left of its terms is the roundoff of those along the guess, and is not measured by itself."""
@@ -214,7 +215,7 @@ def test_a_warm_start_survives_pickling():
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
-@pytest.mark.parametrize("size", [1e6, 1e15])
+@pytest.mark.parametrize("size", [1e6, *slow(1e15)])
 def test_a_wild_guess_neither_scales_nor_measures_the_equations(size, solver):
     """Measured along the guess, a path that missed its equations altogether passed, with a cost of 1e-48."""
     for guess in (lambda t: [t + size * np.sin(37 * t)], (lambda t: [t], lambda t: [size * np.cos(9 * t)])):
@@ -223,7 +224,7 @@ def test_a_wild_guess_neither_scales_nor_measures_the_equations(size, solver):
 
 
 @pytest.mark.parametrize("guess", [None, lambda t: [np.sin(np.pi * t), t]], ids=["line", "guess"])
-@pytest.mark.parametrize("rounding", [1.2e-16, -1e-30])
+@pytest.mark.parametrize("rounding", [1.2e-16, *slow(-1e-30)])
 def test_a_component_that_the_straight_line_moves_by_rounding_is_not_measured_by_that(rounding, guess):
     def problem(end):
         return double_integrator(

@@ -8,6 +8,7 @@ import pytest
 from control_problems import FRACTIONS, double_integrator, true_error
 from paths import script
 from scipy.optimize import brentq, fsolve
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.phases import with_joined_phases
@@ -72,7 +73,7 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+@pytest.mark.parametrize("tol", [1e-3, *slow(1e-6)])
 @pytest.mark.parametrize("name", SCENES)
 def test_the_path_is_known_and_the_breakpoint_is_the_switch(name, tol):
     """An optimum that may choose the breakpoint has it elsewhere, and the switch between two points that miss it."""
@@ -86,7 +87,7 @@ def test_the_path_is_known_and_the_breakpoint_is_the_switch(name, tol):
     assert path.problem.duration_bounds == make().duration_bounds
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-8])
+@pytest.mark.parametrize("tol", [1e-4, *slow(1e-8)])
 def test_a_rocket_lands_as_in_closed_form(tol):
     scene = script("moon_landing")
     fall, burn = fsolve(lambda times: scene.landed(*times), (0.5, 1.1), xtol=1e-14)
@@ -178,7 +179,7 @@ def test_switches_on_both_sides_of_a_waypoint_are_named():
     np.testing.assert_allclose(path.problem.breakpoints, times, rtol=0, atol=3e-6)
 
 
-@pytest.mark.parametrize("gap", [1e-2, 1e-5])
+@pytest.mark.parametrize("gap", [1e-2, *slow(1e-5)])
 @pytest.mark.parametrize("stated", ["a waypoint", "a given time"])
 def test_a_breakpoint_beside_a_switch_leaves_it_its_joint(stated, gap):
     """Where a joint beside the switch was moved onto the breakpoint, 15 levels in a row came no nearer."""

@@ -20,6 +20,7 @@ from control_problems import (
 )
 from paths import script
 from scipy.optimize import fsolve, minimize_scalar
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.refinement import ControlRefinement, fits_any_mesh
@@ -111,7 +112,7 @@ def test_true_error_is_below_the_tolerance(name, tol):
     assert true_error(path, *SCENES[name][1]()) <= tol
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-8])
+@pytest.mark.parametrize("tol", [1e-4, *slow(1e-8)])
 def test_three_switches_are_found_to_any_tolerance(tol):
     path, duration = cg.solve(two_masses_on_a_spring(), tol=tol), fastest_on_a_spring()
     assert path.error_estimate <= tol
@@ -126,7 +127,7 @@ def test_obstacle_is_passed_below_at_the_exact_cost():
     assert true_error(path, *exact_obstacle()) <= tol
 
 
-@pytest.mark.parametrize(("stiffness", "drag", "speed", "price"), [(1.0, 0.5, 1.0, 0.1), (2.5, 0.2, 1.7, 0.6)])
+@pytest.mark.parametrize(("stiffness", "drag", "speed", "price"), [(1.0, 0.5, 1.0, 0.1), *slow((2.5, 0.2, 1.7, 0.6))])
 def test_periodic_ends_may_lie_where_a_component_turns(stiffness, drag, speed, price):
     """There x[1] is zero at both ends: what the condition compares is rounding, and was once called violated."""
     follow = first_order(
@@ -182,7 +183,7 @@ def wall_cost():
     return minimize_scalar(touching, bounds=(0.01, 0.4), method="bounded", options={"xatol": 1e-10}).fun
 
 
-@pytest.mark.parametrize(("intervals", "tol"), [(7, 1e-3), (8, 1e-5)])
+@pytest.mark.parametrize(("intervals", "tol"), [(7, 1e-3), *slow((8, 1e-5))])
 def test_a_bound_of_the_position_is_touched_at_the_exact_cost(intervals, tol):
     path = cg.solve(wall(), tol=tol, intervals=intervals)
     assert path.error_estimate <= tol
@@ -396,7 +397,7 @@ def test_levels_that_go_round_in_circles_are_ended(monkeypatch):
     assert next(errors, None) is None
 
 
-@pytest.mark.parametrize("waves", [10, 20])
+@pytest.mark.parametrize("waves", [10, *slow(20)])
 def test_many_switches_are_found_to_a_loose_tolerance(waves):
     """Two meshes led to one another for ever; to a tighter tolerance both were solved."""
     push = double_integrator(
@@ -592,7 +593,7 @@ def test_times_with_values_are_a_guess_for_any_mesh_and_values_alone_are_not(gue
     assert fits_any_mesh(guess) is fits
 
 
-@pytest.mark.parametrize("wall", [0.05, 0.02])
+@pytest.mark.parametrize("wall", [0.05, *slow(0.02)])
 def test_a_path_along_a_wall_that_hardly_pushes_it_is_as_in_closed_form(wall):
     """IPOPT's own last barrier kept it 1e-5 off the wall, at a cost of 1e-12 (Bryson and Ho, section 3.11)."""
     problem = double_integrator(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, wall))

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import cart_pole, double_integrator, minimum_time
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -35,8 +36,8 @@ def test_it_is_sharp_where_the_cost_knows_a_fourth_power(solver):
     assert 0.8 < path.solver_error / error < 2
 
 
-@pytest.mark.parametrize("power", [4, 6])
-@pytest.mark.parametrize("tol", [1e-3, 1e-4, 1e-6])
+@pytest.mark.parametrize("power", [4, *slow(6)])
+@pytest.mark.parametrize("tol", [1e-3, *slow(1e-4, 1e-6)])
 def test_no_path_is_called_known_that_the_cost_hardly_knows(power, tol):
     """Both degrees may stop at the same place, as far as 1e-5 from the path with an estimate of 4e-7."""
     try:
@@ -81,7 +82,7 @@ def test_a_component_that_a_symmetry_keeps_at_zero_leaves_no_doubt_of_the_path()
 
 
 @pytest.mark.parametrize("end", [0.0, np.sin(np.pi)], ids=["zero", "sin(pi)"])
-@pytest.mark.parametrize("tol", [1e-3, 1e-8])
+@pytest.mark.parametrize("tol", [1e-3, *slow(1e-8)])
 def test_a_component_that_is_only_what_the_solver_leaves_of_it_is_not_compared_with_itself(tol, end):
     """It is at rest, but pushed by the other's inertia: refused as long as there was time, with errors near one."""
     mass = ca.DM([[2.0, 0.7], [0.7, 1.0]])
@@ -206,7 +207,7 @@ def test_a_control_without_effect_in_a_phase_does_not_hide_the_cost():
     assert path.unseen_change < 1e-9 * path.cost
 
 
-@pytest.mark.parametrize("tol", [1e-2, 1e-6])
+@pytest.mark.parametrize("tol", [1e-2, *slow(1e-6)])
 def test_no_cost_is_called_open_where_all_controls_are_at_their_bounds(tol):
     """A tank that is emptied at full rate in the least time, 0.6 s: then nothing is left to be chosen."""
     burn = cg.ControlProblem(
