@@ -21,7 +21,7 @@ import numpy as np
 from casadi_galerkin._solve import transcribe
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import flag
+from casadi_galerkin.calculus.numbers import counted, flag
 from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -34,7 +34,15 @@ from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.studies.parallel import picklable_problem
-from casadi_galerkin.studies.reference import AnyProblem, Measure, Reference, ReferenceSolution, finer, quantity
+from casadi_galerkin.studies.reference import (
+    AnyProblem,
+    Measure,
+    Reference,
+    ReferenceSolution,
+    check_reference,
+    finest,
+    quantity,
+)
 from casadi_galerkin.studies.trade_table import Row, Trade
 
 FIRST_CALLS, REPEATS, LONG = 2, 15, 0.03  # first and repeated solves of a way; no repeats after so many seconds
@@ -210,7 +218,7 @@ def trade(
     intervals : several numbers of equal intervals
     reference : a Trajectory or a callable t -> (d,) over the same time span, that errors are differences to; where the
         duration is free, a Trajectory of any; default a solve several digits finer, whose own error is estimated and
-        reported.  A callable tells no cost, and no energy where parameters are free: their errors are NaN
+        reported.  A callable tells the path alone: action, cost and energy are compared with those of such a solve
     tolerances : several numbers, as `solve` takes them; not for an InitialProblem
     solvers : several Solvers, as `solve` takes them; default the usual one.  Not for an InitialProblem
     shooting : whether to `shoot` as well, by every method on every number of intervals; for a BoundaryProblem
@@ -254,16 +262,35 @@ def trade(
     ways = _ways(problem, grid, _listed("tolerances", tolerances), _solvers(problem, solvers), shooting)
     if guess is not None:
         _check_guess(problem, guess, grid, shooting)
-    truth = None if reference is None else ReferenceSolution(problem, reference, measure)
+    if reference is not None:
+        check_reference(problem, reference, measure)
     cells = _cells(problem, ways, guess, measure)
     paths = [cell.path for cell in cells if cell.path is not None]
     if not paths:
         raise ConvergenceError(f"no way led to a path; the first failure: {cells[0].row.failure}")
-    if truth is None:
-        truth = finer(problem, paths, guess, measure)
+    truth, described, own = _truth(problem, reference, measure, paths)
     rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
-    described = f"{truth.name}, own error {truth.error:.1e}" if truth.error else truth.name
-    return Trade(tuple(rows), described, truth.own, None if measure is None else _name(measure))
+    return Trade(tuple(rows), described, own, None if measure is None else _name(measure))
+
+
+def _truth(
+    problem: AnyProblem, given: Reference | None, measure: Measure | None, paths: list[Trajectory]
+) -> tuple[ReferenceSolution, str, dict[str, Any]]:
+    """What errors are measured against, in words, and its own errors by their names in a `Row`, where known."""
+    if isinstance(given, Trajectory):
+        known, own = given.error_estimate, dict[str, Any]()
+        if known is not None:
+            own = {"error": known, "path_error": known}
+        return ReferenceSolution(given, measure), "given" + (f", own error {known:.1e}" if known else ""), own
+    fine, finer = finest(problem, paths)
+    if given is not None:
+        return ReferenceSolution(fine, measure, given), "given", {}
+    truth = ReferenceSolution(fine, measure)
+    own = truth.own_errors(finer)
+    own["path_error"] = max(own["path_error"], fine.error_estimate or 0.0)
+    if measure is None:
+        own["error"] = own["path_error"]
+    return truth, f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own['error']:.1e}", own
 
 
 def _name(measure: Measure) -> str:

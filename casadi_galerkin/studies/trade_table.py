@@ -24,11 +24,12 @@ from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver
 from casadi_galerkin.stepping.shooting import shoot
-from casadi_galerkin.studies.reference import LEAST_ERROR, AnyProblem
+from casadi_galerkin.studies.reference import AnyProblem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+LEAST_ERROR = 1e-14  # errors below cannot be told from rounding
 PLATEAU = 30.0  # errors below so many times the floor take no part in the fit of an order
 MOST_SHOWN = 40  # rows of a table; of more, only those of the front are shown
 REASON = 70  # characters of the reason of a failure in a table

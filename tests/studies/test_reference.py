@@ -18,8 +18,6 @@ def test_solved_and_exact_reference_give_the_same_errors(oscillator, measured):
     assert measured.reference_error < REFERENCE
     assert exact.reference_error == 0.0
     for ours, theirs in zip(measured.rows, exact.rows, strict=False):
-        # sizes of components are the largest value at a reference's nodes, 1e-6 short of the maximum between them;
-        # energies of a callable come from differences of its values, with a roundoff of 1e-13 or so
         for name in ("error", "joint_error", "functional_error", "energy_error"):
             assert getattr(ours, name) == pytest.approx(getattr(theirs, name), rel=1e-5, abs=3 * REFERENCE)
 
@@ -30,7 +28,8 @@ def test_errors_are_those_of_a_fresh_solve(oscillator, measured):
     at = np.linspace(0, 2, 4001)
     between, joints = np.abs(path(at)[0] - np.sin(at)), np.abs(path.x[0] - np.sin(path.t))
     assert worst.error == pytest.approx(between.max(), rel=1e-3, abs=0)  # both sample a curve's maximum
-    assert worst.joint_error == pytest.approx(joints.max(), rel=1e-5, abs=0)  # the component's size is 1
+    # the component's size, 1, is its largest value at a reference's nodes, 2e-5 short of the maximum between them
+    assert worst.joint_error == pytest.approx(joints.max(), rel=1e-4, abs=0)
 
 
 def path_of(lagrangian, t_span, *ends, **changes):
@@ -67,6 +66,7 @@ def test_a_reference_that_does_not_fit_is_refused_before_any_cell(reference, err
         cg.trade(problem, [cg.Galerkin(2)], [4], reference=reference)
 
 
+@pytest.mark.slow
 def test_a_kink_that_tolerances_resolve_is_resolved_by_the_reference():
     """On equal intervals its own error was 1e-4; those of the way to the tolerance are some 1e-8."""
     kink = cg.BoundaryProblem(
@@ -77,14 +77,14 @@ def test_a_kink_that_tolerances_resolve_is_resolved_by_the_reference():
     assert measured.cheapest(1e-5).tol == 1e-5
 
 
-def test_a_reference_across_a_jump_of_the_control_knows_that_its_energy_is_coarser_than_its_path():
-    """The velocity of its polynomial errs around the jump, where ways to a tolerance have a joint."""
+@pytest.mark.slow
+def test_a_reference_across_a_jump_of_the_control_has_a_joint_there():
+    """Else the energy along its polynomial would err around the jump, where ways to a tolerance have a joint."""
     fastest = double_integrator(
         running_cost=lambda t, x, v, u: 1.0, control_bounds=(-1.0, 0.5), duration_bounds=(0.5, 10.0)
     )
     measured = cg.trade(fastest, [cg.Galerkin(3)], [8], tolerances=[1e-3])
-    assert measured.reference_error < 1e-5
-    assert 1e-4 < measured.rows[1].energy_error < 5 * measured.reference_errors["energy_error"]
+    assert max(measured.reference_error, measured.rows[1].energy_error) < 1e-5
 
 
 def test_periodic_paths_count_their_first_joint_once():
@@ -103,7 +103,7 @@ def test_parameters_reach_the_reference():
     assert max(measured.rows[0].error, measured.rows[0].functional_error, measured.rows[0].energy_error) < REFERENCE
 
 
-def test_a_callable_tells_no_energy_where_parameters_are_free():
+def test_a_callable_tells_the_path_and_a_solve_its_cost_and_energy():
     """Whatever its mass, 2 / 7 in the optimum of 6 p² + (p - 2)², the path is the same."""
     problem = double_integrator(
         lagrangian=lambda t, x, v, p: p[0] * v[0] ** 2 / 2,
@@ -113,8 +113,7 @@ def test_a_callable_tells_no_energy_where_parameters_are_free():
         parameter_bounds=(0.1, 3.0),
     )
     (row,) = cg.trade(problem, [cg.Galerkin(3)], [2], reference=lambda t: [3 * t**2 - 2 * t**3]).rows
-    assert row.error < 1e-8
-    assert np.isnan(row.energy_error)
+    assert max(row.error, row.functional_error, row.energy_error) < 1e-8  # IPOPT's tolerance
 
 
 def test_a_measured_quantity_is_relative_to_its_value_on_the_reference(oscillator):
@@ -163,7 +162,7 @@ def layer(t):
     return [np.exp(-1e4 * t)]
 
 
-def test_a_callable_reference_is_resolved_for_its_action_and_energy():
+def test_action_and_energy_of_a_layer_are_resolved_beside_a_callable():
     """On 500 equal intervals, the action of this layer was 6e-4 off, and so seemed that of every path."""
     problem = cg.BoundaryProblem(lambda t, x, v: 1e-8 * v[0] ** 2 / 2 + x[0] ** 2 / 2, (0.0, 1.0), [1.0], [0.0])
     coarse, fine = cg.trade(problem, [cg.Galerkin(8)], [4], layer, tolerances=[1e-9]).rows[:2]
@@ -172,19 +171,9 @@ def test_a_callable_reference_is_resolved_for_its_action_and_energy():
     assert coarse.error > 0.1
 
 
-def test_a_callable_that_no_mesh_resolves_has_neither_action_nor_energy(oscillator):
+def test_a_callable_of_many_waves_is_compared_between_the_joints(oscillator):
     measured = cg.trade(oscillator, [cg.Galerkin(8)], [4], lambda t: [np.sin(t) + 1e-6 * abs(np.sin(9e3 * t))])
-    (row,) = measured.rows
-    assert row.error == pytest.approx(1e-6, rel=0.01)
-    assert np.isnan(row.functional_error)
-    assert np.isnan(row.energy_error)
-    assert "nan" in str(measured)
-
-
-def test_a_callable_reference_has_no_cost():
-    measured = cg.trade(double_integrator(), [cg.Galerkin(3)], [4], lambda t: [3 * t**2 - 2 * t**3])
-    assert np.isnan(measured.rows[0].functional_error)
-    assert measured.rows[0].error < 1e-9  # IPOPT's tolerance
+    assert measured.rows[0].error == pytest.approx(1e-6, rel=0.01)
 
 
 def free_durations():
@@ -206,15 +195,6 @@ def test_where_the_duration_is_free_a_callable_is_no_reference(problem):
         cg.trade(problem, [cg.Galerkin(2)], [4], lambda t: [6 * t - 5 * t**2])
 
 
-def test_a_callable_reference_has_the_action_of_the_end():
-    """x = t / 2 ends at a spring of energy (x - 1)²/2, whose force 1/2 is the momentum."""
-    problem = cg.BoundaryProblem(
-        lambda t, x, v: v[0] ** 2 / 2, (0.0, 1.0), [0.0], [None], end_action=lambda a, b: (b[0] - 1) ** 2 / 2
-    )
-    row = cg.trade(problem, [cg.Galerkin(1)], [4], lambda t: [t / 2]).rows[0]
-    assert max(row.error, row.functional_error) < REFERENCE
-
-
 @pytest.mark.parametrize("kind", ["boundary", "initial", "rates"])
 def test_paths_without_energy_are_compared(kind):
     """At rest, and where all components follow rates, action and energy are zero."""
@@ -226,22 +206,3 @@ def test_paths_without_energy_are_compared(kind):
     }[kind]()
     row = cg.trade(problem, [cg.Galerkin(2)], [4]).rows[0]
     assert max(row.error, row.functional_error, row.energy_error) < REFERENCE
-
-
-def test_a_reference_that_cannot_be_made_finer_is_the_last_one_that_was_found(monkeypatch):
-    module = import_module("casadi_galerkin.studies.reference")
-    solve = module.solve
-
-    def solved(problem, method, intervals, guess):
-        if intervals > 8:
-            raise cg.ConvergenceError("too fine")
-        return solve(problem, method, intervals, guess=guess)
-
-    monkeypatch.setattr(module, "solve", solved)
-    problem = cg.BoundaryProblem(lambda t, x, v: 1e-4 * v[0] ** 2 / 2 + x[0] ** 2 / 2, (0.0, 1.0), [1.0], [0.0])
-    measured = cg.trade(problem, [cg.Galerkin(2)], [16])
-    assert measured.reference.startswith("degree 9, 9 quadrature points of order 18 on 8 intervals")
-    assert 1e-4 < measured.reference_error < 0.1
-    monkeypatch.setattr(module, "solve", lambda problem, method, intervals, guess: solved(problem, method, 9, guess))
-    with pytest.raises(cg.ConvergenceError, match="too fine"):
-        cg.trade(problem, [cg.Galerkin(2)], [16])

@@ -153,6 +153,7 @@ def lambert(count, seed=None):
 
 
 @pytest.mark.parametrize("seed", [None, 0])
+@pytest.mark.slow
 def test_with_a_tolerance_neighbors_are_on_one_branch(seed, pool):
     problem, ends = lambert(21, seed)
     ends[0]["guess"] = lambert_guess(ends[0]["end"])
@@ -164,6 +165,7 @@ def test_with_a_tolerance_neighbors_are_on_one_branch(seed, pool):
     identical(cg.sweep(problem, ends, tol=1e-7, executor=pool), sweep)
 
 
+@pytest.mark.slow
 def test_a_variation_to_which_its_neighbor_does_not_lead_is_solved_from_the_straight_line():
     problem = cg.BoundaryProblem(henon_heiles, (0.0, 2.0), [0.0, 0.1], [0.2, 0.3])
     assert not cg.sweep(problem, [{}, {"t_span": (0.0, 7.0), "end": [0.5, 0.5]}], tol=1e-4).failures
@@ -438,6 +440,7 @@ def two_chunks(monkeypatch):
 
 
 @pytest.mark.usefixtures("two_chunks")
+@pytest.mark.slow
 def test_a_worker_that_dies_costs_the_answer_of_its_variation_only(serial):
     variations = [*VARIATIONS[:2], {"guess": deadly}, *VARIATIONS[2:]]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
@@ -447,6 +450,7 @@ def test_a_worker_that_dies_costs_the_answer_of_its_variation_only(serial):
     identical([*sweep[:2], *sweep[3:]], serial)
 
 
+@pytest.mark.slow
 def test_what_a_dead_worker_leaves_stays_on_the_branch_of_its_neighbors():
     """From the straight line, 18 of these swings of a pendulum end on other branches."""
     problem = cg.BoundaryProblem(
@@ -462,6 +466,7 @@ def test_what_a_dead_worker_leaves_stays_on_the_branch_of_its_neighbors():
     np.testing.assert_allclose(sweep.action[others], here.action[others], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_pool_whose_workers_cannot_start_is_replaced():
     with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=os._exit, initargs=(1,)) as pool:
         assert not cg.sweep(bratu_problem(), [{}, {}], METHOD, INTERVALS, executor=pool).failures
@@ -531,6 +536,7 @@ def test_an_executor_that_was_shut_down_is_refused():
         cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS, executor=pool)
 
 
+@pytest.mark.slow
 def test_dasks_local_cluster_gives_the_same(serial):
     distributed = pytest.importorskip("distributed")
     cluster = distributed.LocalCluster(
