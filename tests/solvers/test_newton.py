@@ -4,12 +4,13 @@ import casadi as ca
 import numpy as np
 import pytest
 from scenes import BY_NAME, catenoid
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.roundoff import ZERO
 
 
-@pytest.mark.parametrize("degree", [1, 4, 8])
+@pytest.mark.parametrize("degree", [1, 4, *slow(8)])
 def test_a_component_that_vanishes_is_found_from_a_guess_where_it_does_not(degree):
     """Every Newton step takes 16 digits off what is left of it, which relative to itself never is at roundoff."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), [None], [None])
@@ -141,7 +142,7 @@ HOW = [{"method": cg.Galerkin(4), "intervals": 5}, {"tol": 1e-9}]
 
 
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
-@pytest.mark.parametrize(("magnetic", "electric"), [(0.3, 0.21), (1.0, 1.0), (2.1, 0.9)])
+@pytest.mark.parametrize(("magnetic", "electric"), [(0.3, 0.21), *slow((1.0, 1.0), (2.1, 0.9))])
 def test_a_component_whose_forces_cancel_is_zero(magnetic, electric, how):
     """A velocity filter: the line through crossed fields is straight, and rounding is all that is beside it."""
     problem = cg.BoundaryProblem(
@@ -156,7 +157,7 @@ def test_a_component_whose_forces_cancel_is_zero(magnetic, electric, how):
 
 
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
-@pytest.mark.parametrize(("mass", "stiffness"), [(1.7, 11.0), (0.3, 53.0), (2.3, 110.0)])
+@pytest.mark.parametrize(("mass", "stiffness"), [(1.7, 11.0), *slow((0.3, 53.0), (2.3, 110.0))])
 def test_rest_at_the_origin_is_found_where_constants_cancel(mass, stiffness, how):
     """A weight on a spring, x counted from where it hangs: nothing but rounding is left of both forces.
 
@@ -186,7 +187,7 @@ def test_a_kink_is_not_taken_for_rounding(place, pull):
 
 
 @pytest.mark.parametrize("how", [HOW[0], {"tol": 1e-4}], ids=["mesh", "tol"])
-@pytest.mark.parametrize(("duration", "end"), [(2.0, None), (4.0, None), (1.5, 0.0)])
+@pytest.mark.parametrize(("duration", "end"), [(2.0, None), *slow((4.0, None), (1.5, 0.0))])
 def test_a_kink_at_zero_does_not_hold_what_is_pulled_away(duration, end, how):
     """Where a zero was rounded as a number of size one, the whole kink counted as rounding."""
 
@@ -251,10 +252,10 @@ def test_a_ring_of_masses_breathes_from_ends_of_cosines_and_sines(count, how):
     assert path.morse_index == exact.morse_index
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-9])
+@pytest.mark.parametrize("tol", [1e-3, *slow(1e-9)])
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 @pytest.mark.parametrize("rest", [None, 0.5])
-@pytest.mark.parametrize("unit", [1.0, 1e-9])
+@pytest.mark.parametrize("unit", [1e-9, *slow(1.0)])
 def test_a_path_along_an_axis_of_symmetry_is_found(unit, rest, friction, tol):
     """The pulls of three anchors cancel across the axis within the derivatives of L, which tell nothing of their size.
 
@@ -299,7 +300,7 @@ SYMMETRIC = {  # L, and how many components besides the first are zero by symmet
 
 
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
-@pytest.mark.parametrize("beside", [1e-12, 1e-3, 0.3])
+@pytest.mark.parametrize("beside", [1e-3, *slow(1e-12, 0.3)])
 @pytest.mark.parametrize("name", SYMMETRIC)
 def test_a_component_is_exactly_zero_where_its_guess_is_not(name, beside, how):
     """What rounding left of it counted by its own size: 200 iterations, no path, or another one far away."""
@@ -312,8 +313,8 @@ def test_a_component_is_exactly_zero_where_its_guess_is_not(name, beside, how):
     np.testing.assert_allclose(path(np.linspace(0, 1, 9)), straight(np.linspace(0, 1, 9)), rtol=1e-9, atol=0)
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8, 1e-10])
-@pytest.mark.parametrize("beside", [1e-13, 1e-11, 1e-9, 1e-6])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-4, 1e-8, 1e-10)])
+@pytest.mark.parametrize("beside", [1e-6, *slow(1e-13, 1e-11, 1e-9)])
 def test_a_small_component_is_as_accurate_as_its_estimate_where_terms_of_others_cancel(beside, tol):
     """The derivatives of L by it are differences of sines: their rounding hides some of its digits."""
     ends = [1.0, beside], [0.5, 1.3 * beside]
