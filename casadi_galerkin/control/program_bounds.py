@@ -1,4 +1,8 @@
-"""Bounds of the unknowns and of the equations, and checks that the equations are not more than the unknowns."""
+"""Bounds of the unknowns and of the equations of the program: whether there is room in them, and what violates them.
+
+A violation is relative to what is compared: the terms of an equation, or the largest value of a bounded kind, in which
+rounding `EPS` is never a violation.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
 from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.graph import Report
+from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
 from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.problem import ENDS
+
+LEAST_SIZE = EPS / FEASIBLE  # size of terms, over that of what they are part of, from which their rounding is feasible
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,45 @@ def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
         free = np.where(satisfied & (not implied), np.inf, 0.0)
         _limit(equations, rows, (-free, free))
     return ProgramBounds(sides[:, : chain.unknowns], equations)
+
+
+def equation_scales(
+    problem: ControlProblem, chain: Chain, bounds: ProgramBounds, report: Report, before: np.ndarray
+) -> np.ndarray:
+    """Sizes of the terms of the equations, to which their residuals are relative; (equations,).
+
+    For the equations of motion of a component it is the largest sum of the sizes of the terms of one of them along the
+    path, at least a rounding of that along the guess (`before`, by kind); for a rate, one of its given positions or of
+    one.  For a path constraint or an end condition g it is |∇g||z|, or its finite bound if that is larger.
+    """
+    given = np.nan_to_num(np.vstack((problem.given_positions, np.array(problem.position_bounds))), posinf=0, neginf=0)
+    of_guess, stated = np.zeros(len(report.sizes)), largest_of(_finite_sizes(bounds.equations), chain.kinds)
+    of_guess[chain.motions] = before[chain.motions]
+    of_guess[chain.rated] = np.minimum(or_one(np.max(np.abs(given), axis=0)[problem.mechanical :]), 1.0)
+    return or_one(np.fmax(np.fmax(report.sizes, stated), LEAST_SIZE * of_guess))[chain.kinds]
+
+
+def violations(
+    chain: Chain, bounds: ProgramBounds, unknowns: np.ndarray, equations: np.ndarray, scales: np.ndarray
+) -> np.ndarray:
+    """Violation of every equation, relative to its scale, then of every unknown's bounds, relative to its kind's size.
+
+    A value outside its bounds is not compared with itself: where an equation and a bound leave a single value, IPOPT
+    moves the bound by rounding, and a value that should be zero is then as large as this shift.
+    """
+    kinds, stated = chain.unknown_kinds, or_one(_finite_sizes(bounds.unknowns))
+    sizes = np.maximum(largest_of(np.abs(unknowns), kinds), LEAST_SIZE * largest_of(stated, kinds))[kinds]
+    return np.concatenate((_excess(equations, *bounds.equations) / scales, _excess(unknowns, *bounds.unknowns) / sizes))
+
+
+def _finite_sizes(sides: np.ndarray) -> np.ndarray:
+    """Larger sizes of the finite ones of lower and upper bounds (2, n); zero where there is none."""
+    return np.max(np.where(np.isfinite(sides), np.abs(sides), 0.0), axis=0)
+
+
+def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Distances of values from their bounds; infinite where the values are not finite."""
+    return np.where(np.isfinite(values), bound_excess(values, low, high), np.inf)
 
 
 def given_at_ends(problem: ControlProblem, chain: Chain) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -50,7 +50,7 @@ from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.failure_report import UNITS
 from casadi_galerkin.control.higher_degree import from_near, perturbed, raised
 from casadi_galerkin.control.phases import with_joined_phases, with_parted_phases
-from casadi_galerkin.control.several_starts import distinct_optima, optima_of
+from casadi_galerkin.control.starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem

@@ -23,7 +23,6 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import violations
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives, refuse_values, undefined
@@ -31,9 +30,9 @@ from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.higher_degree import from_near, perturbed, raised
 from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
-from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages
-from casadi_galerkin.control.retries import retry_from_other_guesses, with_fallbacks
+from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations
 from casadi_galerkin.control.second_variation import CostVariation
+from casadi_galerkin.control.starts import first_found
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.mass_check import check_mass
@@ -149,9 +148,8 @@ class ControlTranscription:
             ControlTrajectory, whose controls, duration and parameters are then used too; where it has the same method
             and intervals, the solver starts warm, from its multipliers.  A guess of the controls is a callable
             t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N).  Where no path
-            is found from a guess, one halfway to the straight line is tried, and then the straight line
-        mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
-            that, 4 and 16 times as long ones are tried, as far as its bounds allow, if it has some
+            is found from a guess, the straight line is tried
+        mesh : (N + 1,) joints; where the duration is free their span is its guess
         solver : ipopt or fatrop, with or without options
         verbose : 1 prints a summary, 2 also the solver's own output
 
@@ -183,12 +181,18 @@ class ControlTranscription:
         if problem.parameters != self.problem.parameters:  # masses may depend on them
             check_mass(problem)
 
-        def solved(**beginning: float) -> ControlTrajectory:
-            begun = self.starting_point(problem, calculus, guess, **beginning)
-            return with_fallbacks(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
+        def attempt(way: Solver, at: Guess | None) -> ControlTrajectory:
+            begun = self.starting_point(problem, calculus, at)
+            return self._solved(way, problem, calculus.mesh, begun, verbose, began)
 
+        attempts, other = [("from the guess", partial(attempt, solver, guess))], solver
+        if solver.name == fatrop.name:  # which stalls more easily
+            other = ipopt
+            attempts.append(("from the same start", partial(attempt, other, guess)))
+        if guess is not None and not isinstance(guess, ControlTrajectory):
+            attempts.append(("from the straight line", partial(attempt, other, None)))
         with fork_waits:  # it builds its Functions when they are first needed
-            path = retry_from_other_guesses(problem, guess, solved)
+            path = first_found(attempts)
         if verbose:
             print(path)
         return path
@@ -228,7 +232,8 @@ class ControlTranscription:
             values["controls"] = continuous_controls(problem, chain, path, values)
             optimum.unknowns[chain.fields["controls"]] = values["controls"]
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        relative = violations(problem, chain, optimum, report, start.sizes)
+        scales = equation_scales(problem, chain, bounds, report, start.sizes)
+        relative = violations(chain, bounds, optimum.unknowns, report.equations, scales)
         violation = float(np.max(relative))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
             raise explained(problem, NAMES[solver.name], chain, optimum, report.cost, relative, path)
@@ -280,10 +285,8 @@ class ControlTranscription:
         problem: ControlProblem,
         calculus: DiscreteCalculus,
         guess: Guess | None,
-        longer: float = 1.0,
-        share: float = 1.0,
     ) -> StartingPoint:
-        """The starting point of a solve from a guess: on a part of the way to it from the straight line, or longer.
+        """The starting point of a solve from a guess.
 
         The equations of motion are scaled by the sizes of their terms along the guess, so that the absolute tolerance
         of the solver does not depend on units.  These sizes are limited to ten times those on the straight line
@@ -292,16 +295,14 @@ class ControlTranscription:
         of the guess are minus the residuals of the equations of the joints with momenta of zero.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
-        values = straight = first_values(problem, chain, calculus, guess, near, longer)
+        values = first_values(problem, chain, calculus, guess, near)
         wild = guess is not None and near is None  # or noisy; the straight line is not
-        if wild:
-            straight = first_values(problem, chain, calculus, None, None, longer)
-            values = {name: share * values[name] + (1 - share) * straight[name] for name in values}
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
             refuse_values(problem, self.graph.embedding, values)
         largest = report.sizes.copy()
         if wild:
+            straight = first_values(problem, chain, calculus, None, None)
             line = self.graph.report(*chain.pack(straight)).sizes
             line[chain.motions] = _significant(line[chain.motions], UNMOVED)
             largest = np.where((line > TOLERANCE) & np.isfinite(line), np.fmin(WILD * line, largest), largest)

@@ -1,16 +1,19 @@
-"""Several starts of one optimization: each solve finds a local optimum, and another guess may lead to a better one."""
+"""Where an optimization starts: at the guess, where that leads nowhere at the straight line, and at random paths.
+
+Each solve finds a local optimum, or none, and from another start it may find a better one, or one at all.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import counted, whole_number
-from casadi_galerkin.calculus.roundoff import or_one
+from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.optimizer import TOLERANCE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -19,8 +22,43 @@ from casadi_galerkin.solution.guess import Guess, waves
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solvers.deadline import seconds_left
 
-SMALLEST, LARGEST = -2.0, 1.0  # powers of two between which the amplitude of a random start lies
-SAME = 1e-6  # relative difference of costs up to which two optima count as one
+SAME_COST = np.sqrt(EPS)  # relative difference of costs up to which two optima count as one
+
+
+def first_found(attempts: Iterable[tuple[str, Callable[[], ControlTrajectory]]]) -> ControlTrajectory:
+    """The path of the first attempt that finds one, with the iterations of all.
+
+    Parameters
+    ----------
+    attempts : where each begins, as in "from the straight line", and what makes it; all but the first by IPOPT
+
+    Raises
+    ------
+    ConvergenceError
+        of the first attempt, naming the others
+    """
+    failures, tried = list[ConvergenceError](), list[str]()
+    for how, attempt in attempts:
+        try:
+            path = attempt()
+        except ConvergenceError as failure:
+            failures.append(failure)
+        except ValueError:
+            if not failures:
+                raise  # at another start than the guess, a callable need not be finite
+        else:
+            if not failures:
+                return path
+            report = f"{path.solver}, {how}, after {str(failures[0]).split(';')[0]}"
+            iterations = path.iterations + sum(failure.iterations for failure in failures)
+            return replace(path, solver=report, iterations=iterations)
+        tried.append(how)
+        if seconds_left() < 0:
+            break
+    first, others = failures[0], tried[1:]
+    words = f". IPOPT found no path {' or '.join(others)}, either" if others else ""
+    iterations = sum(failure.iterations for failure in failures)
+    raise ConvergenceError(f"{first}{words}", first.path, first.residual, iterations)
 
 
 def best_of(
@@ -41,8 +79,8 @@ def optima_of(
 ) -> tuple[list[ControlTrajectory], str]:
     """Optima from a guess and from random paths in the order of their costs, and a summary of the starts.
 
-    A random path is a sum of waves that is bent to meet the ends.  Its size is that of the given ends, or one where
-    these are zero.  The same number of starts always gives the same paths.  No start begins after the deadline.
+    A random path is a sum of waves that is bent to meet the ends.  Its size is about that of the given ends, or one
+    where these are zero.  The same number of starts always gives the same paths.  None begins after the deadline.
 
     Parameters
     ----------
@@ -61,14 +99,12 @@ def optima_of(
     if whole_number("starts", starts) == 1:
         return [solve(guess=guess)], ""
     begin, end = problem.t_span
-    ends = problem.given_positions
-    sizes = or_one(np.max(np.nan_to_num(np.abs(ends)), axis=0))
+    sizes = or_one(np.max(np.nan_to_num(np.abs(problem.given_positions)), axis=0))
     random, optima, failures = np.random.default_rng(0), list[ControlTrajectory](), list[Exception]()
 
     def another() -> Callable[[ArrayLike], np.ndarray]:
         """A random path as a function of times."""
-        amplitude = 2 ** random.uniform(SMALLEST, LARGEST)
-        path = waves(random, amplitude * sizes)
+        path = waves(random, random.exponential() * sizes)
         return lambda times: path((np.asarray(times) - begin) / (end - begin))
 
     with progress("starts", starts) as advance:
@@ -88,18 +124,14 @@ def optima_of(
     count = len(distinct_optima(optima))
     met = f"{count} optima, with costs up to {optima[-1].cost:.6g}" if count > 1 else "one optimum"
     summary = f"; best of {counted(len(optima) + len(failures), 'start')}, which met {met}"
-    return optima, summary + (f"; {len(failures)} of them failed, {_most_often(failures)}" if failures else "")
-
-
-def _most_often(failures: list[Exception]) -> str:
-    """The most frequent reason of the failures."""
-    reasons = Counter(str(failure).split(" after ")[0] for failure in failures)
-    ((reason, count),) = reasons.most_common(1)
-    return reason if count == len(failures) else f"most often: {reason}"
+    if failures:
+        reasons = Counter(str(failure).split(" after ")[0] for failure in failures)
+        summary += f"; {len(failures)} of them failed, most often: {reasons.most_common(1)[0][0]}"
+    return optima, summary
 
 
 def distinct_optima(optima: list[ControlTrajectory]) -> list[ControlTrajectory]:
     """Optima of different costs, from a list with increasing costs."""
     costs = np.array([optimum.cost for optimum in optima])
-    new = np.append(True, np.diff(costs) > SAME * np.abs(costs[1:]) + TOLERANCE)
+    new = np.append(True, np.diff(costs) > SAME_COST * np.abs(costs[1:]) + TOLERANCE)
     return [optima[i] for i in np.flatnonzero(new)]
