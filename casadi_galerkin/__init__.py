@@ -5,6 +5,8 @@ from casadi_galerkin._solve import solve as solve
 from casadi_galerkin._solve import transcribe as transcribe
 from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription as AdaptiveTranscription
 from casadi_galerkin.boundary.branch import Branch as Branch
+from casadi_galerkin.boundary.branch import BranchPoint as BranchPoint
+from casadi_galerkin.boundary.branch import Diagram as Diagram
 from casadi_galerkin.boundary.branch import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation
 from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity

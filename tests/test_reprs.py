@@ -57,6 +57,13 @@ def constrained():
     )
 
 
+def buckling():
+    """A rod under a load."""
+    return cg.BoundaryProblem(
+        lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 1), [0.0], [0.0], parameters=[5.0]
+    )
+
+
 SHORT = BY_NAME["short pendulum"].problem
 MESH = np.linspace(0, 1, 101)
 CASES = {
@@ -74,6 +81,8 @@ CASES = {
     "Sweep": lambda: cg.sweep(bratu_problem(), rates(3.0), METHOD, 6),
     "Sweep with failures": lambda: cg.sweep(bratu_problem(), rates(3.7), METHOD, 6),
     "Branch": lambda: cg.continuation(bratu_problem(), [4.0], intervals=10),
+    "BranchPoint": lambda: cg.continuation(buckling(), [20.0], intervals=6).branch_points[0],
+    "Diagram": lambda: cg.continuation(buckling(), [500.0], intervals=16, branches=30),
     "Fold": lambda: cg.continuation(bratu_problem(), [4.0], intervals=10).folds[0],
     "Paths": lambda: cg.paths(cg.BoundaryProblem(pendulum, (0, 5), [None], [None]), cg.Galerkin(6), 8, count=8),
     "Paths of a coarse mesh": lambda: cg.paths(BY_NAME["long pendulum, index 0"].problem, cg.Galerkin(1), 12, count=1),

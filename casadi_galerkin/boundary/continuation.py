@@ -1,45 +1,45 @@
-"""Follow a branch of critical paths while the parameters of a problem change, past the folds of the branch.
+"""Follow a branch of critical paths while the parameters of a problem change, past its folds and branch points.
 
 The parameters move on the line p(s) = p_0 + s (p_1 - p_0) from the problem's own to the target.  The branch is the
-curve ∇S(ξ, p(s)) = 0, followed by its arc length (`arc_length`).  At a fold the Hessian is singular and ṡ changes its
-sign; the branch then leads back, with another Morse index.  The fold is found as the zero of ṡ.
+curve ∇S(ξ, p(s)) = 0, followed by its arc length (`solvers.curve`).  At a fold the Hessian is singular and ṡ changes
+its sign; the branch then leads back, with another Morse index.  The fold is found as the zero of ṡ.  Where the sign of
+(-1)^index ṡ changes, another branch crosses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.branch import Branch, Fold
+from casadi_galerkin.boundary.branch import Branch, BranchPoint, Diagram, Fold
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import numbers
+from casadi_galerkin.calculus.numbers import numbers, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.mass_check import check_mass
-from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.orbit_phase import refuse_free_phase
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.progress import progress
+from casadi_galerkin.solution.progress import Advance, progress
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.arc_length import CORRECTOR_ITERATIONS, STEP_GROWTH, STEP_REDUCTION, Curve
+from casadi_galerkin.solvers.curve import CORRECTOR_ITERATIONS, Crossing, Curve, Point
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 
-# arc lengths, in which the path is relative to how far the branch has led
-FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-12
-# cosine of the largest angle between a step and the tangents at its two ends; beyond it may be another branch
-LEAST_COSINE = 0.95
-CROSSING_STEP = 1e-3  # a shorter step may cross another branch, instead of having jumped to one that passes nearby
+FIRST_STEP = 0.05  # arc length, in which the path is relative to how far the branch has led
+CROSSING_STEP = (
+    1e-3  # a shorter step may pass what is no simple branch point, instead of having jumped to a branch nearby
+)
 CONVERGED_STEP = 1e-8  # last Newton step after which the next one is at roundoff
 # |ṡ| at a fold over its change between the points before and after it; the error of s is of the order of its square
 FOLD_TOLERANCE = 1e-8
@@ -48,8 +48,35 @@ FOLD_TOLERANCE = 1e-8
 LEAST_OF_SIZE, LEAST_OF_ALL = 1e-5, 1e-7
 ROUNDED = 1e-12  # size of an unknown over its expected change, below which it counts as zero
 ITERATIONS = 20  # most iterations for a fold; rounding may prevent FOLD_TOLERANCE
+HALVINGS = 6  # most halvings of a step until Newton's method leads to the branch point on it
+SAME = 1e-5  # distance over the sizes of paths below which branch points are one: each is known up to rounding
 LOST = 0.01  # truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
-POINTS = 1000  # most points of a branch
+STEPS = 3000  # most steps along a branch, those that were too long included
+
+
+@overload
+def continuation(
+    problem: BoundaryProblem,
+    target: Sequence[float],
+    method: Galerkin | None = None,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    guess: Guess | None = None,
+) -> Branch: ...
+
+
+@overload
+def continuation(
+    problem: BoundaryProblem,
+    target: Sequence[float],
+    method: Galerkin | None = None,
+    intervals: int | None = None,
+    *,
+    branches: int,
+    mesh: ArrayLike | None = None,
+    guess: Guess | None = None,
+) -> Diagram: ...
 
 
 @interrupts_raised()
@@ -59,15 +86,17 @@ def continuation(
     method: Galerkin | None = None,
     intervals: int | None = None,
     *,
+    branches: int = 0,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
-) -> Branch:
+) -> Branch | Diagram:
     """Follow a path while the parameters change from the problem's own to a target.
 
     At a fold the path meets another one, and beyond it neither exists.  Where a fold lies between, the branch turns
-    back there, and ends at the parameters it began with, at another path.  Steps are short enough for the branch to
-    turn little in each; only a pair of folds much nearer to each other than a tenth of what the branch has covered may
-    be passed over.
+    back there, and ends at the parameters it began with, at another path.  At a branch point other paths cross; with
+    `branches`, these are followed as well, to both sides and from all of their own branch points, as far as they stay
+    between the problem's parameters and the target's.  Steps are short enough for the branch to turn little in each;
+    only a pair of folds much nearer to each other than a tenth of what the branch has covered may be passed over.
 
     The branch ends before the first path of which the mesh leaves out more than 1 % between the joints: beyond, its
     folds would be those of the mesh.
@@ -79,16 +108,19 @@ def continuation(
     method : Galerkin; default degree 8
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints; the mesh is the same for the whole branch
+    branches : largest number of branches of a diagram, that of the problem's own path included; zero for this alone
     guess : for the first path, as for `solve`
 
     Returns
     -------
-    Branch of the paths on the way, with its folds; its last path is that of the target, where the branch leads there
+    Branch of the paths on the way, with its folds and branch points; its last path is that of the target, where the
+    branch leads there.  With `branches`, the Diagram of all branches
 
     Raises
     ------
     ConvergenceError
-        where the branch cannot be followed, or its first path is not resolved, with the last path attached
+        where the branch cannot be followed, or its first path is not resolved, with the last path attached; in a
+        diagram, `Branch.stopped` says where a branch could not be followed
     ValueError, TypeError
         for input that does not fit
 
@@ -109,77 +141,117 @@ def continuation(
     aim = np.array(numbers("target", target, len(problem.parameters)))
     if np.array_equal(aim, problem.parameters):
         raise ValueError(f"the target must differ from the problem's parameters, got {target!r} for both")
+    branches = whole_number("branches", branches, 0)
     transcription = transcribed(problem, method, intervals, mesh)
     refuse_free_phase("continuation", problem)
     check_mass(problem.varied({"parameters": aim.tolist()}))
-    return BranchFollower(transcription, aim).run(guess)
+    follower = BranchFollower(transcription, aim)
+    first = follower.first_point(guess)
+    with progress("continuation", unit="path") as advance:
+        follower.advance = advance
+        branch, lost = follower.follow(first, None)
+        if not branches:
+            if lost:
+                words = f"the branch {branch.stopped}. Its last path is attached to this error as `path`"
+                raise ConvergenceError(words, branch.trajectories[-1])
+            return branch
+        return follower.diagram(branch, branches)
 
 
-@dataclass(frozen=True)
-class Point:
-    """A point z of the branch with its tangent, of any length, and the number of negative eigenvalues of ∇²S there."""
+@dataclass(frozen=True, eq=False)
+class PathPoint(Point):
+    """A point of the branch with its path.
+
+    Attributes
+    ----------
+    trajectory : None at a branch point
+    negative : number of negative eigenvalues of ∇²S; None where that is unknown
+    parity : sign that is the same all along the branch between branch points; NaN where unknown
+    crossing : branch point on the step that led here
+    missed : whether the number of negative eigenvalues has changed by more than that step explains
+    """
+
+    trajectory: Trajectory | None = None
+    negative: int | None = None
+    parity: float = np.nan
+    crossing: Crossing | None = None
+    missed: bool = False
+
+
+@dataclass
+class Node:
+    """A branch point of a diagram: tangents of both curves through it, and the sides of the other one yet to follow.
+
+    `extent` is how far the branch that found it had led.
+    """
 
     z: np.ndarray
-    tangent: np.ndarray
-    trajectory: Trajectory
-    negative: int | None
-
-    @property
-    def unresolved(self) -> str:
-        """That the mesh does not resolve the path, and where; empty if it does."""
-        return "".join(self.trajectory._unresolved(LOST)).strip()
-
-    def on_branch_of(self, other: Point) -> bool:
-        """Whether both points may lie on one branch: along it (-1)^`negative` ṡ has the sign of one determinant."""
-        if self.negative is None or other.negative is None:
-            return True
-        turned = bool(self.tangent[-1] * other.tangent[-1] < 0)
-        return turned == ((self.negative - other.negative) % 2 == 1)
+    found: BranchPoint
+    own: np.ndarray
+    other: np.ndarray | None
+    sides: list[float]
+    extent: tuple[np.ndarray, np.ndarray]
 
 
-class BranchFollower(Curve):
-    """The state of a continuation along a branch."""
+class BranchFollower(Curve[PathPoint]):
+    """The state of a continuation along the branches of a problem."""
 
-    tolerance = CONVERGED_STEP
+    tolerance, least_cosine, smallest_step, longest_step = CONVERGED_STEP, 0.95, 1e-12, 0.1
+    advance: Advance
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
-        self.transcription, self.stationarity = transcription, transcription.stationarity
-        self.first, self.target = np.array(transcription.problem.parameters), target
-        self.direction = target - self.first
+        self.transcription = transcription
+        self.begun, self.aim = np.array(transcription.problem.parameters), target
+        ends = (transcription.problem, transcription.problem.varied({"parameters": target.tolist()}))
+        data, aim = (transcription.for_problem(problem).data(transcription.mesh) for problem in ends)
+        super().__init__(transcription.stationarity, data, aim)
         self.weights = np.ones(transcription.numbering.free + 1)
-        self._lowest = self._highest = self._expected = np.zeros(transcription.numbering.free)
-        # the last step that was not taken because it led to another branch, and the step after it
-        self._across: tuple[Point, float] | None = None
+        self.nodes: list[Node] = []
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
         """Parameters at a point z, exact at both ends."""
-        near_first, near_target = self.first + z[-1] * self.direction, self.target - (1 - z[-1]) * self.direction
-        return near_first if z[-1] < 0.5 else near_target
+        change = self.aim - self.begun
+        return self.begun + z[-1] * change if z[-1] < 0.5 else self.aim - (1 - z[-1]) * change
 
     def problem(self, z: np.ndarray) -> BoundaryProblem:
         """The problem at a point z."""
         return self.transcription.problem.varied({"parameters": self.parameters(z).tolist()})
 
-    def data(self, z: np.ndarray) -> Data:
-        """The graph's other inputs at a point z."""
-        return self.transcription.for_problem(self.problem(z)).data(self.transcription.mesh)
-
-    def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The Newton step at fixed s, and the derivative dξ/ds."""
-        unknowns, data = z[:-1], self.data(z)
-        with self.stationarity.linearization() as at:
-            (rate,) = at.evaluate("sensitivity", unknowns, data, self.direction)
-            newton, follow = at.solve(at.relinearize(unknowns, data), rate)
-        return newton, follow
-
     def solution(self, z: np.ndarray) -> Solution | None:
         """The path of a point z of the curve, verified; None where that moves it."""
         with suppress(SolveFailure):
-            found = damped_newton(self.stationarity, z[:-1], self.data(z), max_iter=CORRECTOR_ITERATIONS)
+            found = damped_newton(self.stationarity, z[:-1], self.data(z[-1]), max_iter=CORRECTOR_ITERATIONS)
             return found if self.length(np.append(found.unknowns - z[:-1], 0.0)) < CONVERGED_STEP else None
         return None
 
-    def begin(self, z: np.ndarray, follow: np.ndarray) -> None:
+    def path(self, z: np.ndarray) -> Path:
+        """The path of a point z."""
+        return Path(self.transcription.emb(z[:-1], self.data(z[-1])))
+
+    def first_point(self, guess: Guess | None) -> PathPoint:
+        """The first path of the branch, with the tangent that leads to the target."""
+        start = self.transcription.critical_point(guess=guess)
+        z = np.append(start.solution.unknowns, 0.0)
+        follow = self.directions(z)[1]
+        if not np.isfinite(follow).all():
+            raise ConvergenceError(
+                f"the branch cannot be followed from the parameters {self.begun}: the path changes there at a rate "
+                "that is not finite. Begin at other parameters",
+                self.transcription.trajectory(start, 0.0),
+            )
+        self.expect(z, follow)
+        point = self.point(z, np.append(follow, 1.0), start)
+        assert point.trajectory is not None
+        unresolved = self.unresolved(point.trajectory)
+        if unresolved:
+            raise ConvergenceError(f"the first path of the branch is {unresolved}", point.trajectory)
+        return point
+
+    def unresolved(self, trajectory: Trajectory) -> str:
+        """That the mesh does not resolve the path, and where; empty if it does."""
+        return "".join(trajectory._unresolved(LOST)).strip()
+
+    def expect(self, z: np.ndarray, follow: np.ndarray) -> None:
         """Expect changes of the path up to the target from those a little way ahead, but at most its sizes.
 
         The first rate alone may be zero, or far too large near a fold.
@@ -202,105 +274,71 @@ class BranchFollower(Curve):
         self._lowest, self._highest = np.minimum(self._lowest, z[:-1]), np.maximum(self._highest, z[:-1])
         changes = np.maximum.reduce((self._highest - self._lowest, self._expected, LEAST_OF_SIZE * np.abs(z[:-1])))
         largest = np.max(changes[: self.transcription.numbering.positions], initial=0.0)
-        start, end, *further = self.data(z)
+        start, end, *further = self.data(z[-1])
         sizes = self.stationarity.sizes(np.maximum(changes, LEAST_OF_ALL * largest), (0 * start, 0 * end, *further))
         self.weights[:-1] = 1 / (len(sizes) * sizes**2)
         self._expected = self._expected / 2
 
-    def path(self, z: np.ndarray) -> PiecewisePolynomial:
-        """The path of a point z."""
-        return self.transcription.emb(z[:-1], self.data(z))
-
-    def run(self, guess: Guess | None) -> Branch:
-        """Follow the branch until the target or the start is reached, or a path that the mesh does not resolve."""
-        start = self.transcription.critical_point(guess=guess)
-        z = np.append(start.solution.unknowns, 0.0)
-        follow = self.directions(z)[1]
-        if not np.isfinite(follow).all():
-            raise ConvergenceError(
-                f"the branch cannot be followed from the parameters {self.first}: the path changes there at a rate "
-                "that is not finite. Begin at other parameters",
-                self.transcription.trajectory(start, 0.0),
-            )
-        self.begin(z, follow)
-        points = [self.point(z, np.append(follow, 1.0), start)]
-        if points[0].unresolved:
-            raise ConvergenceError(f"the first path of the branch is {points[0].unresolved}", points[0].trajectory)
-        folds, stopped = [], ""
-        with progress("continuation", unit="path") as advance:
-            for point in self.steps(points[0]):
-                before = points[-1]
-                if point.unresolved:
-                    stopped = f"the next one, at {self.parameters(point.z)}, is {point.unresolved}"
-                    break
-                if point.tangent[-1] * before.tangent[-1] < 0:
-                    folds.append(self.fold(before, point, len(points)))
-                points.append(point)
-                advance(1)
-        parameters = np.array([self.parameters(point.z) for point in points])
-        reached = bool(points[-1].z[-1] == 1)
-        stopped = stopped or ("the target" if reached else "turned back to the start")
-        return Branch(parameters, tuple(point.trajectory for point in points), tuple(folds), reached, stopped)
-
-    def point(self, z: np.ndarray, tangent: np.ndarray, found: CriticalPoint) -> Point:
+    def point(self, z: np.ndarray, tangent: np.ndarray, found: CriticalPoint) -> PathPoint:
         """A verified point of the branch."""
         trajectory = self.transcription.trajectory(found, 0.0)
-        return Point(z, tangent, trajectory, negative_eigenvalues(self.stationarity, z[:-1], self.data(z)))
+        return PathPoint(z, tangent, trajectory, *self.parity(z, tangent))
 
-    def steps(self, point: Point) -> Iterator[Point]:
-        """Successive points; the steps are as long as the corrector converges."""
-        step = FIRST_STEP
-        for _ in range(POINTS):
-            found, step = self.step(point, step)
-            yield found
-            if found.z[-1] in (0.0, 1.0):
-                return
-            point = found
-        raise ConvergenceError(
-            f"the branch was not followed to its end within {POINTS} paths; the last parameters are "
-            f"{self.parameters(point.z)}. Its last path is attached to this error as `path`",
-            point.trajectory,
-        )
+    def parity(self, z: np.ndarray, tangent: np.ndarray) -> tuple[int | None, float]:
+        """The number of negative eigenvalues, and the sign that changes at branch points alone."""
+        negative = negative_eigenvalues(self.stationarity, z[:-1], self.data(z[-1]))
+        if negative is None:
+            return None, self.orientation(z, tangent)
+        return negative, float(np.sign(tangent[-1]) * (-1) ** negative)
 
-    def step(self, point: Point, step: float) -> tuple[Point, float]:
-        """Take one step, shortened until it succeeds: the new point, and the next step."""
-        self.weigh(point.z)
+    def taken(self, point: PathPoint, step: float) -> PathPoint | None:
+        """The point after one step, with the branch point on the way; None where the step was too long."""
         tangent = self.unit(point.tangent)
-        while step > SMALLEST_STEP:
-            predicted, normal = point.z + step * tangent, tangent
-            end = float(np.clip(predicted[-1], 0.0, 1.0))
-            ends = bool(predicted[-1] != end)
-            if ends:  # a step beyond the end is shortened to it
-                share = (end - point.z[-1]) / tangent[-1]
-                predicted, normal = point.z + share * tangent, np.append(np.zeros(len(point.z) - 1), 1.0)
-                predicted[-1] = end
-            z = self.corrected(predicted, normal, LONGEST_STEP)
-            solution = None if z is None or not 0 <= z[-1] <= 1 else self.solution(z)
-            if z is not None and solution is not None:
-                z = np.append(solution.unknowns, z[-1])
-                chord = self.unit(z - point.z)
-                following = self.tangent(z, chord)
-                bends = np.array([self.cosine(chord, tangent), self.cosine(chord, following)])
-                returns = ends and following[-1] * tangent[-1] < 0  # from a fold beyond the end
-                if np.all(bends > LEAST_COSINE) and not returns:  # NaN for a path that grows without bound
-                    found = CriticalPoint(solution, self.problem(z), self.path(z))
-                    with suppress(ConjugatePointError):  # the point is at a fold
-                        taken = self.point(z, following, found), min(STEP_GROWTH * step, LONGEST_STEP)
-                        if step < CROSSING_STEP or taken[0].on_branch_of(point):
-                            return taken
-                        self._across = taken
-            step *= STEP_REDUCTION
-        across, self._across = self._across, None
-        if across is not None and self.length(across[0].z - point.z) <= LONGEST_STEP:
-            return across  # another branch does cross here, and no short step succeeds so near to it
-        raise ConvergenceError(
-            f"the branch cannot be followed beyond the parameters {self.parameters(point.z)}: no step is short enough. "
-            "Another branch may cross it there, or its paths grow without bound. "
-            "Its last path is attached to this error as `path`",
-            point.trajectory,
-        )
+        predicted, normal = point.z + step * tangent, tangent
+        end = float(np.clip(predicted[-1], 0.0, 1.0))
+        ends = bool(predicted[-1] != end)
+        if ends:  # a step beyond the end is shortened to it
+            predicted, normal = point.z + (end - point.z[-1]) / tangent[-1] * tangent, np.eye(len(tangent))[-1]
+            predicted[-1] = end
+        z = self.corrected(predicted, normal, self.longest_step)
+        solution = None if z is None or not 0 <= z[-1] <= 1 else self.solution(z)
+        if z is None or solution is None:
+            return None
+        z = np.append(solution.unknowns, z[-1])
+        chord = self.unit(z - point.z)
+        following = self.tangent(z, chord)
+        bends = np.array([self.cosine(chord, tangent), self.cosine(chord, following)])
+        turned = point.trajectory is not None and bool(following[-1] * tangent[-1] < 0)
+        if not np.all(bends > self.least_cosine) or (ends and turned):  # NaN for a path that grows without bound
+            return None  # or it returns from a fold beyond the end
+        try:
+            found = self.point(z, following, CriticalPoint(solution, self.problem(z), self.path(z).polynomial))
+        except ConjugatePointError:  # the point is at a fold
+            return None
+        crossed = bool(found.parity * point.parity < 0)
+        crossing = self.crossing(point, found) if crossed else None
+        change = 0 if found.negative is None or point.negative is None else abs(found.negative - point.negative)
+        missed = (crossed and crossing is None) or change > turned + crossed
+        if missed and step >= CROSSING_STEP:
+            return None
+        return replace(found, crossing=crossing, missed=missed)
 
-    def fold(self, before: Point, after: Point, count: int) -> Fold:
+    def crossing(self, one: PathPoint, other: PathPoint) -> Crossing | None:
+        """The branch point between two points; None if there is none, as between points of two branches."""
+        ends, parities = [one.z, other.z], one.parity
+        for _ in range(HALVINGS):
+            chord = ends[1] - ends[0]
+            direction, middle = self.unit(chord), ends[0] + chord / 2
+            found = self.branch_point(middle, direction)
+            if found is not None and self.length(found.z - middle) <= self.length(chord):
+                return found
+            z = self.corrected(middle, direction, self.longest_step)
+            if z is None:
+                return None
+            ends[int(self.parity(z, self.tangent(z, direction))[1] * parities < 0)] = z
+        return None
+
+    def fold(self, before: PathPoint, after: PathPoint, count: int) -> Fold:
         """Find the zero of ṡ between two points, by the secant and bisection on the chord between them."""
         tangent = self.unit(before.tangent)
         ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
@@ -309,11 +347,93 @@ class BranchFollower(Curve):
             if min(map(abs, rates)) < level:
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
-            z = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, LONGEST_STEP)
+            z = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, self.longest_step)
             if z is None:
                 continue
             rate = self.tangent(z, tangent)[-1]
             side = int(rate * rates[0] <= 0)
             ends[side], rates[side] = z, rate
         z = ends[int(abs(rates[1]) < abs(rates[0]))]
-        return Fold(self.parameters(z), Path(self.path(z)), count)
+        return Fold(self.parameters(z), self.path(z), count)
+
+    def follow(self, first: PathPoint, origin: BranchPoint | None) -> tuple[Branch, bool]:
+        """Follow a branch until the target or the start is reached, or a path that the mesh does not resolve.
+
+        Also returns whether it could not be followed.
+        """
+        points = [] if first.trajectory is None else [first]
+        folds, crossed, missed, stopped = list[Fold](), list[BranchPoint](), list[int](), ""
+        before = first
+        self.weigh(first.z)
+        for point in self.walk(first, FIRST_STEP, STEPS):
+            assert point.trajectory is not None
+            unresolved = self.unresolved(point.trajectory)
+            if unresolved:
+                stopped = f"the next one, at {self.parameters(point.z)}, is {unresolved}"
+                break
+            if point.missed:
+                missed.append(len(points))
+            known = point.crossing is not None and self.known(point, point.crossing, len(points), crossed)
+            if before.trajectory is not None and point.tangent[-1] * before.tangent[-1] < 0:
+                apex = None if point.crossing is None else crossed[-1]
+                folds.append(
+                    self.fold(before, point, len(points))
+                    if apex is None
+                    else Fold(apex.parameters, apex.path, len(points))
+                )
+            if known:
+                stopped = "joined to one that was followed before"
+                break
+            points.append(point)
+            self.advance(1)
+            before = point
+            self.weigh(point.z)
+            if point.z[-1] in (0.0, 1.0):
+                stopped = "the target" if point.z[-1] else "turned back to the start"
+                break
+        lost = not stopped
+        if lost:
+            stopped = (
+                f"cannot be followed beyond the parameters {self.parameters(before.z)}: no step is short enough. "
+                "Another branch may cross it there, or its paths grow without bound"
+            )
+        parameters = np.array([self.parameters(point.z) for point in points]).reshape(len(points), len(self.aim))
+        paths = tuple(point.trajectory for point in points if point.trajectory is not None)
+        reached = stopped == "the target"
+        return Branch(parameters, paths, tuple(folds), reached, stopped, tuple(crossed), origin, tuple(missed)), lost
+
+    def known(self, point: PathPoint, crossing: Crossing, after: int, crossed: list[BranchPoint]) -> bool:
+        """Record a branch point that was passed; whether the curve beyond it was followed before."""
+        tangent = self.unit(point.tangent)
+        for node in self.nodes:
+            apart = np.abs(crossing.z - node.z)[: self.transcription.numbering.positions]
+            sizes = np.abs(node.z) + (0.0 if node.other is None else np.abs(node.other))
+            if abs(crossing.z[-1] - node.z[-1]) < SAME and np.max(apart) < SAME * np.max(sizes):
+                crossed.append(replace(node.found, after=after))
+                lines = [
+                    0.0 if line is None else abs(self.cosine(tangent, self.unit(line)))
+                    for line in (node.own, node.other)
+                ]
+                new = lines[1] > lines[0] and len(node.sides) == 2
+                if lines[1] > lines[0]:
+                    node.sides.clear()
+                return not new
+        path, change = self.path(crossing.z), self.transcription.change(crossing.null_vector)
+        variation = Path(PiecewisePolynomial(path.t, path.polynomial.nodes, change))
+        found = BranchPoint(self.parameters(crossing.z), path, variation, after)
+        sides = [] if crossing.other is None else [-1.0, 1.0]
+        self.nodes.append(Node(crossing.z, found, tangent, crossing.other, sides, (self._lowest, self._highest)))
+        crossed.append(found)
+        return False
+
+    def diagram(self, first: Branch, most: int) -> Diagram:
+        """Follow the other branches from all branch points, one after the other, until there are so many."""
+        branches = [first]
+        while len(branches) < most and any(node.sides for node in self.nodes):
+            node = next(node for node in self.nodes if node.sides)
+            assert node.other is not None
+            (self._lowest, self._highest), self._expected = node.extent, np.abs(node.other[:-1])
+            branch, _ = self.follow(PathPoint(node.z, node.sides.pop() * node.other), node.found)
+            if branch.trajectories:
+                branches.append(branch)
+        return Diagram(tuple(branches), sum(len(node.sides) for node in self.nodes))

@@ -39,8 +39,8 @@ from casadi_galerkin.solution.guess import waves
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
+from casadi_galerkin.solvers.curve import LoadedCurve, residual_load_curve
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.loaded_curve import LoadedCurve, residual_load_curve
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
 
@@ -297,10 +297,9 @@ class Search:
 
     def along_residual_load(self) -> Iterator[Solution]:
         """All paths on the curve from a random guess, which a load makes an equilibrium, as the load is removed."""
-        with self.stationarity.linearization() as at:
-            curve = residual_load_curve(at, self.guess(next(self.amplitudes)), self.data)
-            yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
-            self.iterations += curve.iterations
+        curve = residual_load_curve(self.stationarity, self.guess(next(self.amplitudes)), self.data)
+        yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
+        self.iterations += curve.iterations
 
     def along_a_load(self) -> Iterator[Solution]:
         """All paths on a curve of loaded paths: to one side of a known path, and in the next solve to the other."""
@@ -310,12 +309,11 @@ class Search:
             self.load = self.unknowns(self.smooth()) / self.sizes**2
         self.curves += 1
         values, report = self.start.polynomial.values, f"Newton, along a load from action {self.start.action:.6g}"
-        with self.stationarity.linearization() as at:
-            curve = LoadedCurve(at, self.begun, 0.0, self.data, self.load, self.sizes)
-            for solution in curve.stationary_paths(-1.0 if again else 1.0, report):
-                if self.same(self.values(solution.unknowns), values):
-                    return  # the curve is closed
-                yield solution
+        curve = LoadedCurve(self.stationarity, self.data, self.load, np.append(self.begun, 0.0), self.sizes)
+        for solution in curve.stationary_paths(-1.0 if again else 1.0, report):
+            if self.same(self.values(solution.unknowns), values):
+                return  # the curve is closed
+            yield solution
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of unknowns."""

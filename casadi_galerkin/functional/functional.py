@@ -238,7 +238,7 @@ class Functional:
         - joint_step : -> Newton step of the joints at fixed node values, (N + 1,), to where the energy does not jump
         - inertia_weighted : with inertia -> matrix ∇²S with ∂²L/∂v² multiplied by it
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
-        - sensitivity : with direction of the parameters -> change of ∇S along it
+        - by_data : with a direction of every input but the unknowns -> change of ∇S along them
         - product : with direction of the unknowns -> change of ∇S along it, ∇²S times the direction, summed over the
           points, so that it has no rounding of the entries of ∇²S
         """
@@ -251,7 +251,7 @@ class Functional:
             "joint_step": self._joint_step,
             "inertia_weighted": self._inertia_weighted,
             "curvature": self._curvature,
-            "sensitivity": lambda: self._change_by("parameters"),
+            "by_data": lambda: self._change_by(*list(self.symbols)[1:]),
             "product": lambda: self._change_by("unknowns"),
         }
         return self.keep(name, builders[name])
@@ -278,11 +278,12 @@ class Functional:
             positive += ca.bilin(ca.fabs(self._further), *map(ca.fabs, ways.values()))
         return ways, {"signed": signed, "positive": positive}
 
-    def _change_by(self, name: str) -> Parts:
-        """The change of ∇S along a direction of one of its symbols."""
-        direction = ca.MX.sym("direction", self.symbols[name].numel())
-        change = ca.jtimes(self.gradient, self.symbols[name], direction)
-        return {"direction": direction}, {"change": ca.densify(change)}  # few rows may depend on parameters
+    def _change_by(self, *names: str) -> Parts:
+        """The change of ∇S along a direction of each of these symbols."""
+        symbols = {f"{name}_direction": self.symbols[name] for name in names}
+        directions = {name: ca.MX.sym(name, symbol.numel()) for name, symbol in symbols.items()}
+        changes = [ca.jtimes(self.gradient, symbols[name], direction) for name, direction in directions.items()]
+        return directions, {"change": ca.densify(sum(changes[1:], changes[0]))}  # few rows may depend on data
 
     def keep(self, name: str, build: Callable[[], Parts]) -> ca.Function:
         """A Function of the graph, built when it is first used."""

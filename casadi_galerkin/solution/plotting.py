@@ -6,7 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from html import escape
 from io import StringIO
-from itertools import cycle
+from itertools import cycle, groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -28,6 +29,7 @@ BESIDE = 4  # number of names from which the legend is beside the axes, where it
 FRAMES_A_SECOND = 25
 
 Line: TypeAlias = tuple[np.ndarray, np.ndarray]  # times (K,) and values (d, K)
+Points: TypeAlias = Sequence[tuple[float, float]]
 
 
 def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] = SIZE, **options: Any) -> Any:
@@ -212,15 +214,36 @@ def plot_phase(places: np.ndarray, joints: np.ndarray, axes: Axes | None, labels
     return axes
 
 
-def plot_branch(
-    values: np.ndarray, heights: np.ndarray, parts: dict[str, np.ndarray], folds: np.ndarray, axes: Axes | None
+def plot_branches(
+    branches: Sequence[Sequence[tuple[int | None, float, float]]],
+    folds: Points,
+    branch_points: Points,
+    axes: Axes | None,
 ) -> Axes:
-    """Draw heights (K,) over values (K,), in parts by name, masks (K,), and folds (F, 2) as crosses."""
+    """Draw branches of points, each with its Morse index, value and height: one color an index, dashed if not zero.
+
+    Folds are drawn as crosses, branch points as circles.
+    """
+    from matplotlib.collections import LineCollection
+
     axes = axes_or_new(axes)
-    for color, (name, chosen) in zip(cycle(COLORS), parts.items(), strict=False):
-        axes.plot(values[chosen], heights[chosen], ".-", color=color, label=name)
-    if len(folds):
-        axes.plot(*folds.T, "k+", markersize=12, label="fold")
+
+    def draw(points: Points, style: str, label: str, **options: Any) -> None:
+        known = label in {line.get_label() for line in axes.lines}
+        axes.plot(*zip(*points, strict=True), style, label="_again" if known else label, **options)
+
+    axes.add_collection(
+        LineCollection([[place[1:] for place in branch] for branch in branches], colors="0.8", zorder=1)
+    )
+    for branch in branches:
+        for index, run in groupby(branch, key=itemgetter(0)):
+            label = "no Morse index" if index is None else f"Morse index {index}"
+            color = COLORS[(index or 0) % len(COLORS)]
+            draw([place[1:] for place in run], ".--" if index else ".-", label, color=color)
+    if folds:
+        draw(folds, "k+", "fold", markersize=12)
+    if branch_points:
+        draw(branch_points, "ko", "branch point", markersize=7, fillstyle="none")
     axes.legend(fontsize="small")
     return axes
 
@@ -271,7 +294,6 @@ def animate_linkage(
     return FuncAnimation(drawn, frame, frames=len(times), interval=1000 * interval)
 
 
-Points: TypeAlias = Sequence[tuple[float, float]]
 LINE_STYLES: Sequence[tuple[str, Sequence[str], dict[str, Any]]] = (  # names, values, and options of the legend
     ("color", COLORS, {"linewidth": 3}),
     ("linestyle", ("-", "--", ":", "-."), {"color": "0.3", "linewidth": 1}),

@@ -1,9 +1,9 @@
 """Solving ∇S = 0, the discrete Euler-Lagrange equations of all intervals at once, and verifying what was found.
 
 `stationarity` makes the three steps that Newton's method needs out of the one graph and a `linear_solver`.
-`newton`, `rootfinder` and `ipopt` find a critical point, and so does a `loaded_curve`, which is followed by its
-`arc_length`.  `second_variation` finds conjugate points and the Morse index, `solver` gives the solvers their names,
-those of control problems included, and `deadline` stops a solve in time.  `verified_function` is for solves that are
+`newton`, `rootfinder` and `ipopt` find a critical point, and so does a `curve` of them, which is followed by its arc
+length.  `second_variation` finds conjugate points and the Morse index, `solver` gives the solvers their names, those
+of control problems included, and `deadline` stops a solve in time.  `verified_function` is for solves that are
 Functions.
 This folder imports `calculus`, `problems` and `functional`.
 """

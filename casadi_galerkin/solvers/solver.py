@@ -22,8 +22,8 @@ import casadi_galerkin.solvers.ipopt as interior_point
 import casadi_galerkin.solvers.rootfinder as casadi_rootfinder
 from casadi_galerkin.calculus.numbers import whole
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.curve import remove_load
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.loaded_curve import remove_load
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 

@@ -12,8 +12,8 @@ from slow import slow
 import casadi_galerkin as cg
 from casadi_galerkin.boundary import several_paths
 from casadi_galerkin.boundary.several_paths import Search
+from casadi_galerkin.solvers.curve import LoadedCurve
 from casadi_galerkin.solvers.deadline import until
-from casadi_galerkin.solvers.loaded_curve import LoadedCurve
 
 SOLVES = 100  # within which every path has to be found
 LONG = cg.BoundaryProblem(pendulum, (0.0, 10.0), [0.0], [1.0])
@@ -261,9 +261,9 @@ def test_a_load_leads_from_one_catenoid_to_the_other_and_back(load):
     wide = transcription.critical_point()
     narrow = transcription.critical_point(guess=lambda t: [0.235 * np.cosh(t / 0.235)])
     unknowns, data = wide.solution.unknowns, wide.solution.data
-    with transcription.stationarity.linearization() as at:
-        curve = LoadedCurve(at, unknowns, 0.0, data, load * np.ones(len(unknowns)), np.ones(len(unknowns)))
-        ends = [list(curve.unloaded_points(side)) for side in (1.0, -1.0)]
+    ones = np.ones(len(unknowns))
+    curve = LoadedCurve(transcription.stationarity, data, load * ones, np.append(unknowns, 0.0), ones)
+    ends = [list(curve.unloaded_points(side)) for side in (1.0, -1.0)]
     met = [guess for crossings in ends for guess in crossings[:1]]
     assert min(np.max(np.abs(guess - narrow.solution.unknowns)) for guess in met) < 0.1
 

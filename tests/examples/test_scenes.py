@@ -24,7 +24,7 @@ from paths import EXAMPLES
 from scenes import TROESCH
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize
-from scipy.special import chdtri
+from scipy.special import chdtri, ellipk
 from slow import slow
 
 import casadi_galerkin as cg
@@ -262,6 +262,35 @@ def round_the_sun(module, path):
 def bratus_fold(module, branch):
     np.testing.assert_allclose(branch.folds[0].parameters, [3.513830719125162], rtol=1e-12, atol=0)
     assert [path.morse_index for path in branch.trajectories[:: len(branch.trajectories) - 1]] == [0, 1]
+
+
+def eulers_loads(module, diagram):
+    """The load of the k-th shape is (2 k K(m))², with m = sin²(α/2) of its largest angle α."""
+    loads = [point.parameters[0] for point in diagram.branch_points]
+    np.testing.assert_allclose(loads, (np.pi * np.arange(1, 4)) ** 2, rtol=1e-9, atol=0)
+    straight, *bent = diagram
+    assert [path.morse_index for path in straight.trajectories[:: len(straight.trajectories) - 1]] == [0, 3]
+    assert len(bent) == 6
+    for branch in bent:
+        k = 1 + loads.index(branch.origin.parameters[0])
+        path = branch.trajectories[-1]
+        modulus = np.sin(path(1 / (2 * k))[0] / 2) ** 2
+        assert (2 * k * ellipk(modulus)) ** 2 == pytest.approx(100.0, rel=1e-9)
+        assert {path.morse_index for path in branch.trajectories} == {k - 1}
+
+
+def all_of_carriers_paths(module, answer):
+    found, diagrams = answer
+    assert {small: len(paths) for small, paths in found.items()} == module.COUNTS
+    ends = [branch.trajectories[-1] for diagram in diagrams for branch in diagram]
+    starts = [diagram[0].trajectories[0] for diagram in diagrams]
+    back = [path for path in (*starts, *ends) if path.parameters == (0.1,)]
+    assert len(back) == module.COUNTS[0.1]
+    assert len(diagrams) == 5
+    # of each family that is not followed to the end, mirror images meet where the index of the symmetric path changes
+    for diagram in diagrams[1:]:
+        assert all(not branch.missed for branch in diagram)
+        assert len(diagram.branch_points) == 1
 
 
 # scenes of steps
@@ -776,6 +805,8 @@ TABLE = [
     ("boundary_layer", layer_resolved, "the layer is resolved"),
     ("near_collision", round_the_sun, "the comet goes round the Sun"),
     ("bratu", bratus_fold, "Bratu's fold is where it is"),
+    ("elastica", eulers_loads, "a rod buckles at Euler's loads, in shapes whose loads are elliptic integrals"),
+    ("carrier", all_of_carriers_paths, "all paths of Carrier's problem are found, and followed to where they vanish"),
     ("kepler_revolutions", back_at_the_perihelion, "Mercury is back at its perihelion after all revolutions"),
     ("double_pendulum", parted_by_chaos, "chaos parts the double pendulum from its global path"),
     ("inverted_pendulum", digits_kept_globally, "the balanced pendulum keeps its digits only globally"),

@@ -6,7 +6,7 @@ import pytest
 from control_problems import plane
 
 import casadi_galerkin as cg
-from casadi_galerkin.solution.plotting import COLORS, plot_branch
+from casadi_galerkin.solution.plotting import COLORS, plot_branches
 
 pytestmark = pytest.mark.usefixtures("headless")
 
@@ -192,9 +192,21 @@ def test_a_branch_is_drawn_by_morse_index_with_its_folds():
 
 
 def test_no_part_of_a_branch_is_left_out_for_want_of_a_color():
-    parts = {f"Morse index {i}": np.arange(9) == i for i in range(9)}
-    axes = plot_branch(np.arange(9.0), np.ones(9), parts, np.empty((0, 2)), None)
-    assert [line.get_label() for line in axes.get_lines()] == list(parts)
+    axes = plot_branches([[(i, i, 1.0) for i in range(9)]], [], [], None)
+    assert [line.get_label() for line in axes.get_lines()] == [f"Morse index {i}" for i in range(9)]
+
+
+def test_stable_branches_are_full_lines_and_branch_points_circles():
+    rod = cg.BoundaryProblem(
+        lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 1), [0.0], [0.0], parameters=[5.0]
+    )
+    axes = cg.continuation(rod, [20.0], cg.Galerkin(4), 4, branches=3).plot(lambda path: path(0.5)[0])
+    *runs, point = axes.get_lines()
+    assert [run.get_linestyle() for run in runs] == ["-", "--", "-", "-"]
+    assert [line.get_label() for line in axes.get_lines()[:2]] == ["Morse index 0", "Morse index 1"]
+    assert len(axes.get_legend().get_texts()) == 3
+    for bent in runs[2:]:  # they lead away from the branch point
+        np.testing.assert_allclose(bent.get_xydata()[0], point.get_xydata()[0], rtol=0, atol=1e-12)
 
 
 def test_a_branch_without_morse_indices_is_drawn_as_one():
