@@ -32,7 +32,7 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import Advance, progress
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.curve import CORRECTOR_ITERATIONS, Crossing, Curve, Point
+from casadi_galerkin.solvers.curve import Crossing, Curve, Point
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 
@@ -47,7 +47,7 @@ FOLD_TOLERANCE = 1e-8
 # largest expected change, because a component may be zero up to rounding
 LEAST_OF_SIZE, LEAST_OF_ALL = 1e-5, 1e-7
 ROUNDED = 1e-12  # size of an unknown over its expected change, below which it counts as zero
-ITERATIONS = 20  # most iterations for a fold; rounding may prevent FOLD_TOLERANCE
+ITERATIONS = 20  # most iterations for a fold, whose tolerance rounding may prevent, or for a path, which may be zero
 HALVINGS = 6  # most halvings of a step until Newton's method leads to the branch point on it
 SAME = 1e-5  # distance over the sizes of paths below which branch points are one: each is known up to rounding
 LOST = 0.01  # truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
@@ -220,7 +220,7 @@ class BranchFollower(Curve[PathPoint]):
     def solution(self, z: np.ndarray) -> Solution | None:
         """The path of a point z of the curve, verified; None where that moves it."""
         with suppress(SolveFailure):
-            found = damped_newton(self.stationarity, z[:-1], self.data(z[-1]), max_iter=CORRECTOR_ITERATIONS)
+            found = damped_newton(self.stationarity, z[:-1], self.data(z[-1]), max_iter=ITERATIONS)
             return found if self.length(np.append(found.unknowns - z[:-1], 0.0)) < CONVERGED_STEP else None
         return None
 
