@@ -25,8 +25,6 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.stepper import Roll, Stepper
 
-SPEEDS = np.logspace(-12, 12, 25)  # guesses of the velocity where L is singular at rest
-
 
 def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int) -> Trajectory:
     """Solve an initial problem step by step on the joints of a mesh; see `solve`.
@@ -65,17 +63,16 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
     if problem.velocity is not None:
         v = np.array(problem.velocity)
         return checked(v), v
-    rest, at = np.zeros((len(x), 1)), (np.array([start]), x[:, None])
+    at, rest = (np.array([start]), x[:, None]), np.zeros((len(x), 1))
     p = tangent_momenta(problem, *at, np.array(problem.momentum)[:, None], rest)
-    for guesses in (rest, np.where(p < 0, -1, 1) * np.concatenate((SPEEDS, -SPEEDS))):
-        alike = np.ones(guesses.shape[1])
-        found = velocities(legendre, start * alike, x[:, None] * alike, p * alike, guesses)
-        found = found[:, np.isfinite(found).all(axis=0)]
-        if found.size:
-            checked(found[:, 0])
-            return p[:, 0], found[:, 0]
-    checked(rest[:, 0])
-    raise ValueError(f"no velocity was found that has the momentum {p[:, 0]} at the start, x = {x}; give the velocity")
+    v = velocities(legendre, *at, p, rest)[:, 0]
+    if not np.all(np.isfinite(v)):
+        checked(rest[:, 0])
+        raise ValueError(
+            f"no velocity was found that has the momentum {p[:, 0]} at the start, x = {x}; give the velocity"
+        )
+    checked(v)
+    return p[:, 0], v
 
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:

@@ -1,7 +1,8 @@
 """Boundary problems solved stepwise: single shooting, Newton's method on the start of the path.
 
-The path from one start is a `shot`.  Newton's method halves its steps until they pass the natural monotonicity test, as
-in the global solve.
+`shooting_residual` is what the path from one start misses.  Newton's method halves its steps until they pass the
+natural
+monotonicity test, as in the global solve.
 
 Shooting can be no better than the product of the steps' Jacobians: it magnifies the rounding of the start.  Where
 the growth comes near 1/eps, no start that a computer holds meets the end, and `shoot` says so.
@@ -18,7 +19,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
 from casadi_galerkin.calculus.numbers import counted
@@ -31,17 +31,16 @@ from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.orbit_phase import turned_back
 from casadi_galerkin.problems.problem import check_types, mesh_for
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
-from casadi_galerkin.solution.guess import FAR_FROM_GUESS, guess_values, relative_distance
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.initial_value import trajectory
-from casadi_galerkin.stepping.shot import Shooting, Shot
+from casadi_galerkin.stepping.shooting_residual import Shooting, Shot
 
 ITERATIONS = 50
 MISS = EPS**0.5  # accepted miss of the end, relative to the size of the path: half of the digits
-ROUNDED = 1e3 * EPS  # rounding of what is near zero, relative to the size of others or to what it was before
+ROUNDED = 1e3 * EPS  # rounding of a start that tends to zero, relative to what it was before
 UNDETERMINED = 1e-14  # smallest singular value of the scaled derivative from which the end depends on the start
 
 
@@ -60,8 +59,7 @@ def shoot(
     rounding; up to 50 is accepted.  `Trajectory.solver` gives the miss itself.  For a growth of 1e7 the miss was 2e-9
     of the path's size; a miss of more than 1.5e-8, half of the digits, is refused.  `solve` has no such loss.
 
-    Of a guess only the start is used, and Newton's method may end at another path of the same ends: `Trajectory.solver`
-    says so where the path found is further than half of the guess's size from the guess.
+    Of a guess only the start is used, and Newton's method may end at another path of the same ends.
 
     A given energy frees the duration, which is one more unknown.  It begins as that of the guess, or as that of
     `t_span`, and all steps are stretched with it.
@@ -122,7 +120,7 @@ def shoot(
     wrong = _other_end(problem, path) or turned_back(problem, path.polynomial, shooting.plane)
     if wrong is not None:
         raise ConvergenceError(wrong, Path(path.polynomial), shot.residual, iterations)
-    path = replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
+    path = replace(path, action=action, residual=shot.residual)
     return replace(path, find_difference=partial(_difference, path, _missed(shot)[0]))
 
 
@@ -142,7 +140,7 @@ def _other_end(problem: BoundaryProblem, path: Trajectory) -> str | None:
     last, sizes = path.x[:, -1], path.polynomial.sizes
     wanted = path.x[:, 0] if problem.periodic else np.array(problem.end, dtype=float)  # NaN for None
     missed = np.abs(last - wanted)
-    if not np.any(missed > MISS * sizes + ROUNDED * np.max(sizes)):
+    if not np.any(missed > MISS * np.max(sizes)):
         return None
     return (
         f"shooting has met another point of the constraint, x = {last.tolist()} at t = {path.t[-1]:g}, away from the "
@@ -164,17 +162,6 @@ def _difference(path: Trajectory, missed: float) -> float:
     except ConvergenceError:
         return math.inf
     return max(largest_difference(own, finer), abs(float(np.ptp(finer.mesh) / np.ptp(own.mesh)) - 1)) + missed
-
-
-def _far(guess: Trajectory | None, path: Trajectory) -> str:
-    """Say so if the path is far from its guess."""
-    if guess is None:
-        return ""
-    guessed = guess_values(guess, DiscreteCalculus(path.method, path.t), len(path.x))
-    distance = relative_distance(path.polynomial.values, guessed)
-    if distance <= FAR_FROM_GUESS:
-        return ""
-    return f", has found a path up to {distance:.2g} of the guess's size away from the guess"
 
 
 def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -221,34 +208,30 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
             if _singular(_scaled(shot)[0]):
                 _refuse_conjugate(shot, iteration)
             return met, iteration
-        step = _direction(shot, shot.miss, iteration)
-        trial, moved = _line_search(shooting, shot, start, step)
+        trial = _line_search(shooting, shot, start, _direction(shot, shot.miss, iteration))
         if trial is None:
             return _met(shot, iteration), iteration
-        start, shot = moved, trial
+        shot, start = trial
     raise _failure(f"no convergence in {ITERATIONS} iterations", shot, ITERATIONS)
 
 
-def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray) -> tuple[Shot | None, np.ndarray]:
-    """Halve the step until the simplified step from its end is shorter: the shot there, or None, and the start there.
-
-    What is left of a start by its rounding alone is zero: relative to itself, it would never converge.
-    """
+def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray) -> tuple[Shot, np.ndarray] | None:
+    """Halve the step until the simplified step from its end is shorter: the shot and the start there; or None."""
     scale = np.maximum(shot.sizes[: len(start)], np.abs(step)) + TINY
-    velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ACCEPTED * shot.floor) else SMALLEST_DAMPING
+    velocity, damping = shooting.velocity(shot.roll), 1.0
     while damping >= smallest:
         moved = start + damping * step
-        nothing = np.abs(moved) <= ROUNDED * np.abs(start)
-        moved[nothing] = 0.0
-        at_rest = nothing[len(velocity) : 2 * len(velocity)]  # the momenta, for a prediction that is zero, too
+        is_zero = np.abs(moved) <= ROUNDED * np.abs(start)  # to rounding: relative to itself it would never converge
+        moved[is_zero] = 0.0
+        at_rest = is_zero[len(velocity) : 2 * len(velocity)]  # the momenta, for a prediction that is zero, too
         with suppress(ConvergenceError):  # a step of the trial path has failed
             trial = shooting.shoot(moved, np.where(at_rest, 0.0, velocity))
             shorter = np.max(np.abs(_direction(shot, trial.miss)) / scale)
             if shorter <= (1 - damping / 4) * np.max(np.abs(step) / scale):
                 return trial, moved
         damping /= 2
-    return None, start
+    return None
 
 
 def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:

@@ -37,7 +37,7 @@ from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
 from casadi_galerkin.stepping.shooting import check_start, shoot
-from casadi_galerkin.stepping.shot import accumulated
+from casadi_galerkin.stepping.shooting_residual import accumulated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ from scenes import free_particle, oscillator, pendulum, saddle
 
 import casadi_galerkin as cg
 from casadi_galerkin.stepping.shooting import _met
-from casadi_galerkin.stepping.shot import Shooting
+from casadi_galerkin.stepping.shooting_residual import Shooting
 
 METHOD, INTERVALS = cg.Galerkin(8), 8
 SAME = 1e-12  # the same discrete equations solved in two ways; conditions below 100

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.special import ellipk
 
 import casadi_galerkin as cg
-from casadi_galerkin.stepping.shot import accumulated
+from casadi_galerkin.stepping.shooting_residual import accumulated
 from casadi_galerkin.stepping.stepper import Stepper
 
 METHOD = cg.Galerkin(8)

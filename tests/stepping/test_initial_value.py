@@ -9,7 +9,6 @@ from motions import double_pendulum, oscillator, pendulum, quartic, start_of, va
 from scenes import damped
 
 import casadi_galerkin as cg
-from casadi_galerkin.stepping.initial_value import start_state
 
 DIGITS = 1e-14  # values of size 0.4 after 10 steps, computed in 40 digits
 SAME = 1e-13  # two ways of solving the same equations, relative to the path's size
@@ -221,22 +220,6 @@ def test_a_momentum_that_no_velocity_has_is_refused():
     problem = cg.InitialProblem(lambda t, x, v: ca.sqrt(1 + v[0] ** 2), (0, 1), [0.5], momentum=[1.5])
     with pytest.raises(ValueError, match=r"degenerate|no velocity was found"):
         cg.solve(problem, cg.Galerkin(3), intervals=5)
-
-
-@pytest.mark.parametrize(
-    ("lagrangian", "momentum", "velocity"),
-    [
-        (lambda t, x, v: v[0] ** 4 / 4 - x[0], 1.0, 1.0),
-        (lambda t, x, v: v[0] ** 4 / 4 - x[0], -27e-15, -3e-5),
-        (lambda t, x, v: v[0] * ca.log(v[0]) - x[0], 1.0, 1.0),
-        (lambda t, x, v: v[0] * ca.log(v[0]) - x[0], -3.0, np.exp(-4)),
-        (lambda t, x, v: ca.fabs(v[0]) ** 1.5 / 1.5 - x[0], -0.3, -0.09),
-    ],
-    ids=["v^4", "slow v^4", "v log v", "v log v below zero", "v^1.5"],
-)
-def test_a_momentum_has_its_velocity_where_rest_has_no_regular_mass(lagrangian, momentum, velocity):
-    p, v = start_state(cg.InitialProblem(lagrangian, (0, 1), [0.0], momentum=[momentum]))
-    np.testing.assert_allclose([p[0], v[0]], [momentum, velocity], rtol=1e-12)
 
 
 def test_rest_without_a_regular_mass_is_refused():

@@ -10,7 +10,7 @@ from scipy.special import ellipk
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.stepping.shooting import MISS, _met
-from casadi_galerkin.stepping.shot import Shooting, accumulated
+from casadi_galerkin.stepping.shooting_residual import Shooting, accumulated
 
 SAME = 1e-12  # the same discrete equations solved in two ways; conditions below 100
 
@@ -85,20 +85,6 @@ def test_a_guess_chooses_among_several_paths():
         path = cg.shoot(problem, cg.Galerkin(6), 40, guess=guess)
         assert path.momentum[0, 0] == pytest.approx(start, abs=2e-11)  # the digits known, and the mesh's error
         assert "guess" not in path.solver
-
-
-@pytest.mark.parametrize("shift", [0.0, 3.0])
-def test_a_path_far_from_its_guess_is_told_in_words(shift):
-    """A guess of other times is stretched, as that of a global solve."""
-    problem, span = cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0]), (shift, 10 + shift)
-    guess = cg.solve(cg.InitialProblem(pendulum, span, [0.0], velocity=[1.7]), cg.Galerkin(4), 30)
-    path = cg.shoot(problem, cg.Galerkin(6), 40, guess=guess)
-    times = np.linspace(0, 10, 2001)
-    distance = np.max(np.abs(path(times) - guess(times + shift))) / np.max(np.abs(guess(times + shift)))
-    words, rest = path.solver.split(" of the guess's size away from the guess")
-    assert words.startswith("single shooting, misses the end by ")
-    assert float(words.split(", has found a path up to ")[1]) == pytest.approx(distance, rel=0.02)
-    assert (rest, distance > 0.5) == ("", True)
 
 
 def test_products_of_jacobians_are_the_derivative_of_the_whole_path():
