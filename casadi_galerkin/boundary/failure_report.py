@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.embedding import embedding
 from casadi_galerkin.functional.functional import Functional
@@ -16,6 +17,9 @@ from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceErro
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
+
+PART = 0.01  # part of the largest change of a variation that counts as none
+ISOLATE = "Move an end, change the time span, or fix a component that a symmetry leaves free"
 
 
 def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> tuple[str, RuntimeError | None]:
@@ -60,23 +64,43 @@ def refuse_undefined(functional: Functional, solution: Solution, path: Piecewise
     ) from cause
 
 
-def _isolate(problem: BoundaryProblem) -> str:
-    """What to change in a problem so that one path is the only one near it."""
+def open_direction(problem: BoundaryProblem, path: PiecewisePolynomial, change: np.ndarray, otherwise: str) -> str:
+    """What leaves a path open, and what to state so that it is the only one near; or `otherwise`, if nothing is known.
+
+    Parameters
+    ----------
+    change : (d, N m + 1), values at the nodes of the variation of smallest second variation
+    """
     if problem.periodic and problem.autonomous and problem.energy is None:
         return (
             "A periodic path may begin anywhere on its orbit: give its energy instead of its period, or one component "
             "of its start, and compare the momenta at both ends"
         )
-    return "Move an end, change the time span, or fix a component that a symmetry leaves free"
+    size = path.sizes[:, None]
+    moved, motion = change / size, path(path.node_times, 1) / size
+    largest = np.max(np.abs(moved), axis=1)
+    held = np.isfinite(problem.given_positions).any(axis=0)
+    free = np.flatnonzero((largest > PART * np.max(largest)) & ~held).tolist()
+    if free and np.max(np.ptp(moved, axis=1)) < PART * np.max(largest):
+        names = " and ".join(f"x[{i}]" for i in free)
+        together, one = ("together by", "one of them") if len(free) > 1 else ("by", "it")
+        return f"Nothing holds {names}: moved {together} any amount, the path is as good; give {one} at one end"
+    along = np.sum(moved * motion) ** 2 / max(np.sum(moved**2) * np.sum(motion**2), TINY)
+    if problem.autonomous and along > 1 - PART:
+        return (
+            "The path rests near both ends for so long that nothing tells when it passes from one to the other. Where "
+            "it is symmetric, solve one half of it: from its middle, whose position is then known, in half of the time"
+        )
+    return otherwise
 
 
 def conjugate(
-    problem: BoundaryProblem, solution: Solution, path: PiecewisePolynomial, quotient: float
+    problem: BoundaryProblem, solution: Solution, path: PiecewisePolynomial, quotient: float, change: np.ndarray
 ) -> ConjugatePointError:
-    """Report that the second variation vanishes at a path that was found."""
+    """Report that the second variation vanishes at a path that was found, for the variation `change`."""
     return ConjugatePointError(
         f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate points, "
-        f"or a family of paths joins them. {_isolate(problem)}",
+        f"or a family of paths joins them. {open_direction(problem, path, change, ISOLATE)}",
         Path(path),
         solution.residual,
         solution.iterations,
@@ -89,8 +113,12 @@ def explained(
     failure: SolveFailure,
     path: PiecewisePolynomial,
     data: Data,
+    change: np.ndarray | None,
 ) -> ConvergenceError:
-    """Report the failure of a solver, and what caused it in CasADi; `path` is its last iterate."""
+    """Report the failure of a solver, and what caused it in CasADi; `path` is its last iterate.
+
+    Where it ended at a singular Hessian, `change` (d, N m + 1) is a variation that costs nothing.
+    """
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
     g, floor = stationarity.gradient_and_floor(unknowns, data)
     with np.errstate(invalid="ignore"):  # where both are infinite, or a free duration is
@@ -109,11 +137,11 @@ def explained(
         f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, a shorter time span, "
         "or cg.continuation from an easier problem; there may be no path between these ends"
     )
-    if failure.singular:
+    if change is not None:
         kind = ConjugatePointError
         words = (
             f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free. "
-            f"{_isolate(problem)}"
+            f"{open_direction(problem, path, change, ISOLATE)}"
         )
     if numbering.multipliers:
         words += "; the constraints and the conditions on the ends may contradict one another, or say one thing twice"

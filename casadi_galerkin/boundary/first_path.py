@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import cache, partial
 from typing import TypeAlias, TypeGuard
 
@@ -24,13 +24,13 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     truncation_error,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.orbit_phase import has_phase
 from casadi_galerkin.problems.problem import map_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, relative_distance
-from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solvers.newton import damped_newton
+from casadi_galerkin.solvers.newton import NEWTON, damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
 ITERATIONS = 40  # most iterations of Newton's method before another way is tried; with more it moves far away
@@ -73,31 +73,33 @@ def _smoothed(guess: PiecewisePolynomial) -> PiecewisePolynomial:
     return PiecewisePolynomial(guess.mesh, guess.nodes, legval(parts, legfit(parts, guess.values.T, 3)))
 
 
-def _distance(guess: PiecewisePolynomial, point: CriticalPoint) -> float:
-    """Distance of a path from the guess, at the same fractions of their durations, relative to the guess's size."""
-    path = point.polynomial
+def distance_from_guess(guess: PiecewisePolynomial, path: PiecewisePolynomial) -> float:
+    """Distance of a path from a guess, at the same fractions of their durations, relative to the guess's size."""
     times = map_times(guess.node_times, guess.mesh[[0, -1]], path.mesh[[0, -1]])
     return relative_distance(path(times), guess.values)
 
 
-def _near(guess: PiecewisePolynomial, find: Find) -> CriticalPoint:
-    """Find a path, and refuse it if it is far from the guess."""
-    point = find()
-    distance = _distance(guess, point)
-    if distance > FAR_FROM_GUESS:
-        away = f"the path found is up to {distance:.2g} of the guess's size away from the guess"
-        raise ConvergenceError(away, Path(point.polynomial))
-    return point
+def _differs(one: PiecewisePolynomial, other: PiecewisePolynomial) -> bool:
+    """Whether two paths have other joints, or other values by more than rounding."""
+    return len(one.mesh) != len(other.mesh) or relative_distance(one.values, other.values) > EPS**0.5
 
 
-def _nearest(guess: PiecewisePolynomial, first: Find, others: Iterable[Find]) -> CriticalPoint:
-    """The path of the first function or, if that is far from the guess, of another one that finds a path near it."""
-    point = first()
-    if _distance(guess, point) > FAR_FROM_GUESS:
-        for find in others:
-            with suppress(ConvergenceError):
-                return find()
-    return point
+def _nearest(guess: PiecewisePolynomial, ways: Mapping[str, Find]) -> CriticalPoint:
+    """The first path found that is near the guess, or else the first path found, with the name of its way."""
+    found, failures = list[CriticalPoint](), list[ConvergenceError]()
+    for name, find in ways.items():
+        try:
+            point = find()
+            point = replace(point, solution=replace(point.solution, report=name))
+        except ConvergenceError as failure:
+            failures.append(failure)
+            continue
+        if distance_from_guess(guess, point.polynomial) <= FAR_FROM_GUESS:
+            return point
+        found.append(point)
+    if not found:
+        raise failures[0]
+    return found[0]
 
 
 def first_path_strategies(
@@ -110,11 +112,10 @@ def first_path_strategies(
 ) -> Iterator[Strategy]:
     """Strategies to find a first path, in the order in which they are tried.
 
-    First Newton's method on the coarse mesh; with a guess also from the smoothed guess, and on a mesh that resolves the
-    guess.  Then its rescues on the coarse mesh; a homotopy in the force, if there is one, whose paths
-    `intermediate_path` finds; a descent of the action with moving joints; and finally, without a guess, the search for
-    `several_paths` on a finer mesh, otherwise `solver` itself.  With a guess, a path near it is preferred to one that
-    is far from it.
+    First Newton's method on the coarse mesh; where that finds no path near a guess, also from the guess smoothed, and
+    on a mesh that resolves the guess.  A path that is found is kept, near or far.
+    Then its rescues on the coarse mesh; a homotopy in the force, if there is one, whose paths `intermediate_path`
+    finds; a descent of the action with moving joints; and finally the search for `several_paths` on a finer mesh.
     """
     problem = graphs.problem
     given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)
@@ -129,17 +130,17 @@ def first_path_strategies(
     if not is_newton(solver):
         yield repr(solver), partial(solved, given, solver)
         return
-    brief, ways = warm_newton(solver), dict[str, Find]()
-    first = partial(solved, given, brief)
+    brief, starts = warm_newton(solver), {NEWTON: given}
     if guess is not None:
-        ways["Newton's method from the guess smoothed"] = lambda: solved(_smoothed(given), brief)
-        ways["Newton's method on a finer mesh"] = lambda: solved(finer(), brief)
-        first = partial(_nearest, given, first, [partial(_near, given, find) for find in ways.values()])
-    yield "Newton's method", first
+        others = {
+            "Newton's method from the guess smoothed": _smoothed(given),
+            "Newton's method on a finer mesh": finer(),
+        }
+        starts |= {name: start for name, start in others.items() if _differs(start, given)}
+    yield "Newton's method", partial(_nearest, given, {way: partial(solved, at, brief) for way, at in starts.items()})
     stationarity = graphs.transcription(method, given.mesh).stationarity
-    ways |= {name: partial(solved, given, rescue) for name, rescue in rescues(stationarity).items()}
-    for name, find in ways.items():
-        yield name, find if guess is None else partial(_near, given, find)
+    for name, rescue in rescues(stationarity).items():
+        yield name, partial(solved, given, rescue)
     fine = finer().mesh
     fine = resized_mesh(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
     if problem.force is not None:
@@ -148,10 +149,8 @@ def first_path_strategies(
     if stationarity.variational and not stationarity.functional.numbering.multipliers:
         joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
         yield "descent of the action", partial(_by_descent, graphs, method, joints, guess, brief)
-    if guess is None and not has_phase(problem):
+    if not has_phase(problem):
         yield RANDOM, partial(_by_random_guesses, graphs, method, fine, brief)
-    else:
-        yield "Newton's method with its rescues", partial(solved, given, solver)
 
 
 def _by_descent(
@@ -169,9 +168,12 @@ def _by_descent(
         if len(mesh) >= len(found.mesh):
             return point
         try:
-            point = _near(found, partial(graphs.solve, method, mesh, found, solver))
+            coarser = graphs.solve(method, mesh, found, solver)
         except ConvergenceError:
             return point
+        if distance_from_guess(found, coarser.polynomial) > FAR_FROM_GUESS:
+            return point
+        point = coarser
 
 
 def _by_random_guesses(graphs: GraphCache, method: Galerkin, mesh: np.ndarray, solver: SolverLike) -> CriticalPoint:

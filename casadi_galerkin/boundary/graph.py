@@ -15,6 +15,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshe
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.boundary_terms import functional_of, given_values
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.mapping import PointMap
@@ -25,7 +26,7 @@ from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.problems.orbit_phase import has_phase, phase_plane
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
-from casadi_galerkin.solvers.second_variation import SINGULAR, smallest_second_variation
+from casadi_galerkin.solvers.second_variation import SINGULAR, softest
 from casadi_galerkin.solvers.solver import SolverLike, newton
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
@@ -123,7 +124,8 @@ class BoundaryGraph:
                 solution = solver(self.stationarity, self.unknowns(begun.values.T, data), data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
-            error = explained(problem, self.stationarity, failure, path, data)
+            change = graph.softest(failure.unknowns, data)[1] if failure.singular else None
+            error = explained(problem, self.stationarity, failure, path, data, change)
             raise error from error.__cause__
         if not isinstance(solution, Solution):
             raise TypeError(f"solver must return a Solution, {solver!r} has returned {solution!r}; take cg.newton")
@@ -142,9 +144,18 @@ class BoundaryGraph:
 
     def check_second_variation(self, point: CriticalPoint) -> None:
         """Raise if the second variation vanishes at a critical point."""
-        quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.solution.data)
+        quotient, change = self.softest(point.solution.unknowns, point.solution.data)
         if quotient < SINGULAR:
-            raise conjugate(self.problem, point.solution, point.polynomial, quotient)
+            raise conjugate(self.problem, point.solution, point.polynomial, quotient, change)
+
+    def softest(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray]:
+        """Smallest second variation over the sizes of its terms, and its variation at the nodes, (d, N m + 1)."""
+        with self.stationarity.linearization() as at:
+            direction, quotient = softest(at, unknowns, data)
+            if quotient == 0:  # to the last digit: other rounding shows the direction
+                at.matrix[:] *= 1 + EPS * np.random.default_rng(len(unknowns)).choice((-1.0, 1.0), len(at.matrix))
+                (direction,) = at.solve(self.stationarity.sizes(unknowns, data))
+        return quotient, self.change(direction)
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """The path of a guess on a mesh, bent to meet the given ends."""

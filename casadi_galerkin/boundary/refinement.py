@@ -29,7 +29,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.error_estimate import agreement, discretization_error, roundoff_error
-from casadi_galerkin.boundary.first_path import RANDOM, Strategy, first_path_strategies, is_newton, warm_newton
+from casadi_galerkin.boundary.failure_report import open_direction, refuse_undefined
+from casadi_galerkin.boundary.first_path import (
+    RANDOM,
+    Strategy,
+    distance_from_guess,
+    first_path_strategies,
+    is_newton,
+    warm_newton,
+)
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.transcription import Transcription
@@ -48,7 +56,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types, mesh_for
 from casadi_galerkin.solution.error_indicators import scaled_indicators
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached
-from casadi_galerkin.solution.guess import Guess, joined_by_lines
+from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, joined_by_lines
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import Estimate, Refinement
@@ -186,6 +194,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             )
             reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here: {cause}"
             hint = "Try a looser tolerance, or a method of higher degree, with fewer intervals and less roundoff"
+            change = graph.softest(level.solution.unknowns, level.solution.data)[1]
+            hint = open_direction(self.graphs.problem, level.polynomial, change, hint)
             raise self.stopped(reason, level, floor, hint)
         return floor
 
@@ -224,7 +234,10 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         self.smallest_errors[estimate.source] = min(smallest, estimate.error)
         mesh = equidistributed(path.mesh, estimate.detail, fewest=fewest, breakpoints=breakpoints)
         self.check_mesh(mesh, level, estimate)
-        return self.graphs.solve(self.method, mesh, path, self.warm_solver)
+        point = self.graphs.solve(self.method, mesh, path, self.warm_solver)
+        if not math.isfinite(level.solution.action):  # and not on one coarse mesh alone
+            refuse_undefined(self.graph(point.polynomial).functional, point.solution, point.polynomial)
+        return point
 
     def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
         """Stop where a mesh has too many intervals, or one that is too short for the precision of a double."""
@@ -284,11 +297,19 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Find a first path by one of several strategies, and refine it; an array as guess is one on this mesh.
 
         Where the straight line leads through a pole, as of a collision, the search for other paths follows at once.
+        A path that is far from a guess is reported as such.
         """
         guess = self.on_any_mesh(guess, mesh)
         strategies = first_path_strategies(self.graphs, self.method, mesh, guess, self.solver, self.intermediate_path)
         try:
-            return self.by_the_first(strategies, [])
+            path = self.by_the_first(strategies, [])
+            if guess is None:
+                return path
+            begun = self.graphs.transcription(self.method, mesh).guess_on_mesh(guess, mesh)
+            distance = distance_from_guess(begun, path.polynomial)
+            if distance <= FAR_FROM_GUESS:
+                return path
+            return replace(path, solver=f"{path.solver}; up to {distance:.2g} of the guess's size away from the guess")
         except LimitReached as reached:
             if guess is not None or self.out_of_time() or not self.at_pole(self.best[0]):
                 raise
@@ -314,8 +335,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             except LimitReached:
                 raise
             except ConvergenceError as failure:
-                if isinstance(failure, ConjugatePointError) and failure.residual <= ACCEPTED:
-                    raise  # a path was found: another mesh may only hide that it is not the only one
+                if failure.residual <= ACCEPTED:
+                    raise  # a path was found: another mesh may only hide what is wrong with it
                 if isinstance(failure, ConjugatePointError) and failures and first is not None:
                     words = f"no path was found: that of a coarse mesh is lost on a finer one, where {failure}"
                     failure = ConvergenceError(words, failure.path, failure.residual, failure.iterations)
@@ -326,9 +347,10 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
                     print(f"{name}: no path, {spent}")
             else:
-                way = name if first.solution.report == NEWTON else first.solution.report
-                reported = not failures or way == path.solver
-                return path if reported else replace(path, solver=f"{path.solver}; first path by {way}")
+                way = first.solution.report
+                if way == path.solver and not (failures and way == NEWTON):
+                    return path
+                return replace(path, solver=f"{path.solver}; first path by {name if way == NEWTON else way}")
         conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
         raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another way found nothing
 

@@ -161,6 +161,8 @@ def numbers(name: str, values: Sequence[float], length: int | None = None) -> tu
 
 def time_span(value: Sequence[float]) -> tuple[float, float]:
     """Check (t_0, t_N) with t_0 < t_N."""
+    if np.size(given := real_array("t_span", value, free=True)) > 2:
+        raise ValueError(f"t_span must be two times, (t_0, t_N), got {given.size} numbers; joints are given by mesh")
     start, end = numbers("t_span", value, 2)
     if end <= start:
         raise ValueError(f"t_span must increase, got ({start}, {end})")

@@ -1,10 +1,11 @@
-"""CasADi Functions called on NumPy arrays without conversion, on one thread."""
+"""CasADi Functions called on NumPy arrays without conversion, on one thread, and without a word of CasADi's own."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TextIO, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -58,6 +59,27 @@ def interrupts_raised() -> Iterator[None]:
         raise
 
 
+class WithoutCasadi:
+    """A stream that leaves out CasADi's warnings, which come in pieces from "CasADi - " to the end of the line.
+
+    What they warn of, such as a zero pivot, is seen in the numbers that come back; what others write is passed on.
+    """
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream, self._within = stream, False
+
+    def write(self, text: str) -> int:
+        """Pass on what is not CasADi's."""
+        self._within = self._within or text.startswith("CasADi - ")
+        if not self._within and self._stream is not None:
+            self._stream.write(text)
+        self._within = self._within and not text.endswith("\n")
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 class Evaluator:
     """Calls a Function on NumPy arrays: nonzeros in, nonzeros out.
 
@@ -96,8 +118,9 @@ class Evaluator:
 
     def run(self) -> None:
         """Evaluate on all arrays, without a check whether the evaluation was aborted."""
-        self.failure = None
+        self.failure, stderr = None, sys.stderr
         try:
+            sys.stderr = WithoutCasadi(stderr)
             with fork_waits:
                 self._run()
         except RuntimeError as error:
@@ -106,6 +129,8 @@ class Evaluator:
             self.failure = error
             for array in self._results:
                 array[:] = np.nan
+        finally:
+            sys.stderr = stderr
 
     def __call__(self, *arguments: ArrayLike) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""

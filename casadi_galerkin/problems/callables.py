@@ -89,6 +89,7 @@ def _is_traced(function: Traceable, sizes: Mapping[str, int], rows: int | Rows) 
 
 def _traced(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows, shapes: str) -> ca.Function:
     """A callable as a Function from columns to one column."""
+    _refuse_order(name, function, list(sizes))
     symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
     copies = {key: symbol[:] for key, symbol in zip(sizes, symbols, strict=True)}  # which it may change
     value = _called(name, function, copies, shapes)
@@ -128,8 +129,13 @@ def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shap
         return function(*arguments.values())
     except Exception as error:
         if not _takes(function, len(arguments)):
+            taken = _names(function)
             words = f"{name} is called as {name}({', '.join(arguments)}): {error}"
-            raise TypeError(words + _about_p(arguments)) from error
+            if "u" in taken and "u" not in arguments:
+                words += ". Controls u are chosen by a ControlProblem, whose callables take them"
+            elif len(taken) > len(arguments) or "p" in arguments:
+                words += _about_p(arguments)
+            raise TypeError(words) from error
         kind = TypeError if isinstance(error, TypeError) else ValueError
         failed = f"{name} failed when called with CasADi symbols {shapes}"
         if isinstance(error, IndexError) or "out of bounds" in str(error).lower():
@@ -138,6 +144,22 @@ def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shap
         reason = " ".join(str(error).split()).rstrip(".")  # CasADi breaks and indents its lines
         own = isinstance(error, (NameError, ArithmeticError, LookupError))  # a mistake that is not about symbols
         raise kind(f"{failed}: {reason}" if own else f"{failed}: {reason}. {ADVICE}") from error
+
+
+def _names(function: Traceable) -> list[str]:
+    """Names of the arguments of a callable, as far as its signature is known."""
+    try:
+        return list(inspect.signature(function).parameters)
+    except (TypeError, ValueError):
+        return []
+
+
+def _refuse_order(name: str, function: Traceable, expected: list[str]) -> None:
+    """Refuse a callable that names its arguments as they are called, but takes them in another order."""
+    taken = _names(function)
+    if taken != expected and sorted(taken) == sorted(expected):
+        called, got = ", ".join(expected), ", ".join(taken)
+        raise TypeError(f"{name} is called as {name}({called}), in this order, got one of ({got})")
 
 
 def _about_p(arguments: Mapping[str, object]) -> str:

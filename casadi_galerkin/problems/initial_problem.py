@@ -57,13 +57,18 @@ class InitialProblem:
         lagrangian: Traceable,
         t_span: Sequence[float],
         position: Sequence[float],
-        *,
+        *further: object,
         momentum: Sequence[float] | None = None,
         velocity: Sequence[float] | None = None,
         parameters: Sequence[float] | None = None,
         force: Traceable | None = None,
         constraint: Traceable | None = None,
     ) -> None:
+        if further:
+            raise TypeError(
+                "InitialProblem takes lagrangian, t_span and position in this order, and all else by name, such as "
+                f"velocity=[1.0] or momentum=[1.0], got {further[0]!r} as a fourth argument"
+            )
         checked_position = numbers("position", position)
         d = len(checked_position)
         if (momentum is None) == (velocity is None):

@@ -92,6 +92,11 @@ class Path(Table, Pictured):
         axes : Matplotlib axes to draw into; default a new figure
         labels : names of both with units, such as ("x in km", "y in km")
         """
+        if len(self.x) == 1:
+            raise ValueError(
+                "plot_plane draws two components of a path against each other, and this one has only x[0]: draw it "
+                "over time by plot, or against its velocity by plot_phase"
+            )
         given = [whole(i) for i in np.ravel(np.asarray(components, dtype=object))]
         if len(given) != 2 or any(i is None or not 0 <= i < len(self.x) for i in given):
             raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")

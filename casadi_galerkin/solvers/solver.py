@@ -69,23 +69,24 @@ class Solver:
     _check: Callable[[str, object], None]
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
-    def __call__(self, stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:
-        """Solve from a guess.
+    def __call__(self, *arguments: Any, **options: object) -> Solution:
+        """Solve from a guess; called by `solve`, which takes the solver itself.
 
         Parameters
         ----------
-        stationarity : Stationarity
-        guess : first iterate ξ
-        data : values of the other inputs of the graph: start, end, mesh and, if there are some, parameters and given
-            values
-        verbose : 2 prints a line per iteration
+        arguments : Stationarity; first iterate ξ; values of the other inputs of the graph, which are start, end, mesh
+            and, if there are some, parameters and given values; and `verbose`, of which 2 prints a line per iteration
 
         Raises
         ------
         SolveFailure
             if no point was found that can be verified
         """
-        return self._run(stationarity, guess, data, verbose, **self.options)
+        if options or not (arguments and isinstance(arguments[0], Stationarity)):
+            name, given = f"cg.{self.name}", ", ".join(f"{key}={value!r}" for key, value in options.items())
+            asked = f"{name}.with_options({given or '...'})"
+            raise TypeError(f"{name} is handed to a solve and not called: write solver={name}, or solver={asked}")
+        return self._run(*arguments, **self.options)
 
     def with_options(self, **options: Any) -> Solver:
         """The same solver with options of what is underneath, added to those it has.
@@ -118,7 +119,8 @@ def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
     if stationarity.unforced is not None:
         ways["Newton's method from the path without the force"] = partial(_from_unforced, stationarity.unforced)
     ways["IPOPT"] = partial(interior_point.critical_point, max_iter=RESCUE_ITERATIONS)
-    ways["taking away the load of the guess"] = remove_load
+    if stationarity.functional.numbering.positions:
+        ways["taking away the load of the guess"] = remove_load
     return ways
 
 

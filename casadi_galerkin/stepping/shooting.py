@@ -279,18 +279,27 @@ def _met(shot: Shot, iteration: int) -> Shot:
         if shot.stepper.stretched and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
             raise _failure("the path has shrunk to a point, and its duration to zero", shot, iteration)
         return shot
-    reason = (
-        f"the end is missed by {missed:.1e} of the path's size, the rounding of the start alone moves it by {moved:.1e}"
-    )
-    raise _failure(reason, shot, iteration)
+    reason = f"the end is missed by {missed:.1e} of the path's size, "
+    rounded = missed <= MISS or moved > MISS
+    if not rounded:
+        reason += "and no change of the start comes nearer: Newton's method has not converged"
+    else:
+        reason += f"the rounding of the start alone moves it by {moved:.1e}"
+    raise _failure(reason, shot, iteration, rounded)
 
 
-def _failure(reason: str, shot: Shot, iteration: int) -> ConvergenceError:
+def _failure(reason: str, shot: Shot, iteration: int, rounded: bool = True) -> ConvergenceError:
+    """The error of a last shot, and what to do: where the start is `rounded` too coarsely, shooting cannot meet it."""
     growth = float(np.max(np.abs(shot.growth)))
     energy = "; there may be no path of this energy" if shot.stepper.stretched else ""
+    remedy = "Give a guess with a better start, or solve it globally, with `solve`"
+    if rounded:
+        remedy = (
+            f"A change of the start grows up to {growth:.1e} times along the path, and a double keeps 1 part in "
+            f"{1 / EPS:.1e}. Solve it globally, with `solve`"
+        )
     return ConvergenceError(
-        f"shooting failed: {reason} (iteration {iteration}). A change of the start grows up to {growth:.1e} times "
-        f"along the path, and a double keeps 1 part in {1 / EPS:.1e}. Solve it globally, with `solve`{energy}",
+        f"shooting failed: {reason} (iteration {iteration}). {remedy}{energy}",
         Path(shot.path),
         shot.residual,
         iteration,

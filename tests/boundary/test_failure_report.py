@@ -1,6 +1,7 @@
 """A solve that fails says where, why and what to try, and prints nothing."""
 
 import casadi as ca
+import numpy as np
 import pytest
 from scenes import bratu, catenoid, kepler
 
@@ -153,3 +154,55 @@ def test_a_path_that_runs_away_along_a_singular_direction_is_refused_without_war
     with pytest.raises(cg.ConjugatePointError, match="the Hessian of the action is singular"):
         cg.solve(problem, cg.Galerkin(8), intervals=16, solver=cg.rootfinder)
     assert not recwarn.list
+
+
+def test_warnings_of_casadi_do_not_reach_the_terminal(capfd):
+    """A zero pivot shows in the numbers; CasADi's LDL factorization also writes a line for each."""
+    with pytest.raises(cg.ConvergenceError, match="no path was found"):
+        cg.solve(cg.BoundaryProblem(bratu(20.0), (0, 1), [0.0], [0.0]), tol=1e-6)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_path_through_a_place_without_a_lagrangian_ends_a_refinement_at_once():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.log(x[0]), (0, 1), [-1.0], [1.0])
+    with pytest.raises(cg.ConvergenceError, match=r"the Lagrangian is not finite at t = 0\.0.*, where x = \[-0\.9"):
+        cg.solve(problem, tol=1e-6, limits=cg.Limits(levels=2))
+
+
+def test_a_refinement_may_begin_without_a_free_position():
+    """The straight line is the only path of degree 1 on one interval; finer meshes show that there is none."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 3 * x[0] ** 4, (0, 3), [-1.0], [2.0])
+    with pytest.raises(cg.ConvergenceError, match="no path was found"):
+        cg.solve(problem, cg.Galerkin(1), 1, tol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("lagrangian", "ends", "match"),
+    [
+        (lambda t, x, v: v[0] ** 2 / 2, ([None], [None]), r"holds x\[0\]: moved by any amount, .* give it at one end"),
+        (
+            lambda t, x, v: ca.dot(v, v) / 2 - (x[0] - x[1]) ** 2 - x[2] ** 4,
+            ([None, None, 0.0], [None, None, 1.0]),
+            r"holds x\[0\] and x\[1\]: moved together by any amount, .* give one of them at one end",
+        ),
+    ],
+    ids=["one", "two of three"],
+)
+def test_components_that_nothing_holds_are_named(lagrangian, ends, match):
+    with pytest.raises(cg.ConjugatePointError, match=match):
+        cg.solve(cg.BoundaryProblem(lagrangian, (0, 1), *ends), cg.Galerkin(3), 4)
+
+
+@pytest.mark.parametrize("duration", [20.0, 60.0])
+def test_a_passage_between_two_rests_is_said_to_be_free_in_time(duration):
+    well = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + (x[0] ** 2 - 1) ** 2 / 2, (-duration / 2, duration / 2), [-1.0], [1.0]
+    )
+    with pytest.raises(cg.ConvergenceError, match=r"rests near both ends for so long .* solve one half of it"):
+        cg.solve(well, tol=1e-6)
+
+
+def test_half_of_a_passage_between_two_rests_is_solved():
+    half = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + (x[0] ** 2 - 1) ** 2 / 2, (0, 30), [0.0], [1.0])
+    path = cg.solve(half, tol=1e-6)
+    assert abs(path(1.0)[0] - np.tanh(1.0)) < 1e-6

@@ -288,3 +288,25 @@ def test_a_guess_that_is_a_path_is_kept_where_a_coarse_mesh_would_lose_it():
     problem = cg.BoundaryProblem(kepler, (0.0, 7.0), [1.0, 0.0], known.x[:, -1])
     path = cg.solve(problem, tol=TOL, guess=(known.t, known.x))
     np.testing.assert_allclose(path(known.t), known.x, rtol=0, atol=1e-4)
+
+
+def double_pendulum(t, x, v):
+    kinetic = v[0] ** 2 + v[1] ** 2 / 2 + v[0] * v[1] * ca.cos(x[0] - x[1])
+    return kinetic + 9.81 * (2 * ca.cos(x[0]) + ca.cos(x[1]))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_straight_line_as_guess_costs_no_more_than_no_guess(seed):
+    """It is the same guess, and a path that is found is kept, however far from the guess it is."""
+    start, end = np.random.default_rng(seed).uniform(-2, 2, (2, 2))
+    problem = cg.BoundaryProblem(double_pendulum, (0, 2), start, end)
+    path, same = (cg.solve(problem, tol=TOL, guess=guess) for guess in (None, ([0, 2], np.transpose([start, end]))))
+    assert same.iterations <= 1.5 * path.iterations
+    assert off(same, path) < 10 * TOL
+
+
+def test_a_path_far_from_the_guess_is_reported_as_such():
+    start, end = np.random.default_rng(3).uniform(-2, 2, (2, 2))
+    problem = cg.BoundaryProblem(double_pendulum, (0, 2), start, end)
+    path = cg.solve(problem, tol=TOL, guess=([0, 2], np.transpose([start, end])))
+    assert "of the guess's size away from the guess" in path.solver

@@ -174,7 +174,8 @@ def test_the_minimizer_refuses_a_force():
     [
         (lambda t, x, v: [0, 0], ValueError, r"force must return a vector of length 1, got shape \(2, 1\)"),
         (lambda t, x: 0, TypeError, r"force is called as force\(t, x, v\)"),
-        (lambda t, x, v, u: u, TypeError, r"force is called as force\(t, x, v\).* If it takes p, give parameters"),
+        (lambda t, x, v, p: p, TypeError, r"force is called as force\(t, x, v\).* If it takes p, give parameters"),
+        (lambda t, x, v, u: u, TypeError, r"force is called as force\(t, x, v\).* Controls u .* a ControlProblem"),
         (lambda t, x, v: -v[1], ValueError, "an index is out of range of so many components, t has 1, x has 1, v has"),
         (lambda t, x, v: -v[0] * ca.SX.sym("drag"), ValueError, "force depends on drag besides its arguments t, x, v"),
         (0.5, TypeError, r"force must be a callable of \(t, x, v\), got 0.5"),

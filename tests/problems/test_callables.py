@@ -35,6 +35,8 @@ import casadi_galerkin as cg
         (lambda t, x, v: v[0] ** 2 + v[1] if x[0] > 0 else 0, ValueError, "failed when called with CasADi.*if_else"),
         (lambda t, x, v: sum(v**2), (TypeError, ValueError), r"failed [^\n]*[^.]\. Write it with"),
         (lambda t, x: x[0], TypeError, r"lagrangian is called as lagrangian\(t, x, v\):"),
+        (lambda x, v: v[0], TypeError, r"lagrangian is called as lagrangian\(t, x, v\): .* 3 were given$"),
+        (lambda x, v, t: v[0] * t, TypeError, r"lagrangian\(t, x, v\), in this order, got one of \(x, v, t\)"),
         (
             lambda t, x, v: v[2] ** 2,
             ValueError,

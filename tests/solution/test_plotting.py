@@ -148,6 +148,7 @@ def test_a_way_through_the_plane_has_equal_axes_and_all_joints():
             ValueError,
             r"labels of x and p must be 2 names.*got \('x',\)",
         ),
+        (lambda _: swing().solve().plot_plane(), ValueError, r"draws two components .* only x\[0\]: .* by plot_phase"),
         (lambda path: path.plot_plane(labels=("x",)), ValueError, r"labels of x must be 2 names.*got \('x',\)"),
         (lambda path: path.plot(["x", "y"]), TypeError, r"axes must be Matplotlib axes, got \['x', 'y'\]"),
         (lambda path: path.animate(rods, seconds=0), ValueError, "seconds must be a positive number, got 0"),

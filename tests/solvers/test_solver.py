@@ -271,3 +271,16 @@ def test_the_rootfinder_solves_from_a_guess_of_zeros():
     )
     known = cg.solve(problem, cg.Galerkin(8), 8)
     assert cg.solve(problem, cg.Galerkin(8), 8, solver=cg.rootfinder).action == pytest.approx(known.action, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda: cg.ipopt(), r"write solver=cg.ipopt, or solver=cg.ipopt.with_options\(...\)"),
+        (lambda: cg.newton(max_iter=50), r"write solver=cg.newton, or solver=cg.newton.with_options\(max_iter=50\)"),
+    ],
+    ids=["without arguments", "with an option"],
+)
+def test_a_solver_that_is_called_says_how_it_is_handed_to_a_solve(call, match):
+    with pytest.raises(TypeError, match=match):
+        call()

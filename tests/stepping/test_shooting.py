@@ -293,3 +293,13 @@ def test_the_estimate_counts_by_how_much_the_end_is_missed(duration):
     path, times = cg.shoot(problem, cg.Galerkin(8), 4 * duration, guess=true), np.linspace(0, duration, 500)
     error = np.max(np.abs(path(times) - true(times))) / 0.5
     assert error <= 1.2 * path.estimate_error() < 1e-7
+
+
+def test_a_shot_that_does_not_converge_is_not_blamed_on_rounding():
+    """No path joins these ends."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 20 * ca.exp(x[0]), (0, 1), [0.0], [0.0])
+    with pytest.raises(
+        cg.ConvergenceError, match=r"Newton's method has not converged .* guess with a better"
+    ) as caught:
+        cg.shoot(problem, cg.Galerkin(4), 10)
+    assert "double" not in str(caught.value)
