@@ -84,12 +84,22 @@ def _differs(one: PiecewisePolynomial, other: PiecewisePolynomial) -> bool:
     return len(one.mesh) != len(other.mesh) or relative_distance(one.values, other.values) > EPS**0.5
 
 
-def _nearest(guess: PiecewisePolynomial, ways: Mapping[str, Find]) -> CriticalPoint:
-    """The first path found that is near the guess, or else the first path found, with the name of its way."""
+def _nearest(
+    guess: PiecewisePolynomial,
+    starts: Mapping[str, Callable[[], PiecewisePolynomial]],
+    solved: Callable[[PiecewisePolynomial], CriticalPoint],
+) -> CriticalPoint:
+    """The first path found that is near the guess, or else the first path found, with the name of its start.
+
+    The first start is the guess itself; others that do not differ from it are left out.
+    """
     found, failures = list[CriticalPoint](), list[ConvergenceError]()
-    for name, find in ways.items():
+    for name, start in starts.items():
+        begun = start()
+        if begun is not guess and not _differs(begun, guess):
+            continue
         try:
-            point = find()
+            point = solved(begun)
             point = replace(point, solution=replace(point.solution, report=name))
         except ConvergenceError as failure:
             failures.append(failure)
@@ -105,8 +115,8 @@ def _nearest(guess: PiecewisePolynomial, ways: Mapping[str, Find]) -> CriticalPo
 def first_path_strategies(
     graphs: GraphCache,
     method: Galerkin,
-    mesh: np.ndarray,
     guess: Guess | None,
+    given: PiecewisePolynomial,
     solver: SolverLike,
     intermediate_path: Callable[[GraphCache, PiecewisePolynomial], CriticalPoint],
 ) -> Iterator[Strategy]:
@@ -118,11 +128,10 @@ def first_path_strategies(
     finds; a descent of the action with moving joints; and finally the search for `several_paths` on a finer mesh.
     """
     problem = graphs.problem
-    given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)
 
     @cache
     def finer() -> PiecewisePolynomial:
-        return guess_on_resolving_mesh(graphs, method, guess, mesh, FINE_RESOLUTION)
+        return guess_on_resolving_mesh(graphs, method, guess, given.mesh, FINE_RESOLUTION)
 
     def solved(begun: PiecewisePolynomial, by: SolverLike) -> CriticalPoint:
         return graphs.solve(method, begun.mesh, begun.values, by)
@@ -130,14 +139,12 @@ def first_path_strategies(
     if not is_newton(solver):
         yield repr(solver), partial(solved, given, solver)
         return
-    brief, starts = warm_newton(solver), {NEWTON: given}
+    brief = warm_newton(solver)
+    starts: dict[str, Callable[[], PiecewisePolynomial]] = {NEWTON: lambda: given}
     if guess is not None:
-        others = {
-            "Newton's method from the guess smoothed": _smoothed(given),
-            "Newton's method on a finer mesh": finer(),
-        }
-        starts |= {name: start for name, start in others.items() if _differs(start, given)}
-    yield "Newton's method", partial(_nearest, given, {way: partial(solved, at, brief) for way, at in starts.items()})
+        starts["Newton's method from the guess smoothed"] = lambda: _smoothed(given)
+        starts["Newton's method on a finer mesh"] = finer
+    yield "Newton's method", partial(_nearest, given, starts, partial(solved, by=brief))
     stationarity = graphs.transcription(method, given.mesh).stationarity
     for name, rescue in rescues(stationarity).items():
         yield name, partial(solved, given, rescue)

@@ -31,10 +31,12 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.error_estimate import agreement, discretization_error, roundoff_error
 from casadi_galerkin.boundary.failure_report import open_direction, refuse_undefined
 from casadi_galerkin.boundary.first_path import (
+    COARSE_RESOLUTION,
     RANDOM,
     Strategy,
     distance_from_guess,
     first_path_strategies,
+    guess_on_resolving_mesh,
     is_newton,
     warm_newton,
 )
@@ -300,13 +302,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         A path that is far from a guess is reported as such.
         """
         guess = self.on_any_mesh(guess, mesh)
-        strategies = first_path_strategies(self.graphs, self.method, mesh, guess, self.solver, self.intermediate_path)
+        given = guess_on_resolving_mesh(self.graphs, self.method, guess, mesh, COARSE_RESOLUTION)
+        strategies = first_path_strategies(self.graphs, self.method, guess, given, self.solver, self.intermediate_path)
         try:
             path = self.by_the_first(strategies, [])
             if guess is None:
                 return path
-            begun = self.graphs.transcription(self.method, mesh).guess_on_mesh(guess, mesh)
-            distance = distance_from_guess(begun, path.polynomial)
+            distance = distance_from_guess(given, path.polynomial)
             if distance <= FAR_FROM_GUESS:
                 return path
             return replace(path, solver=f"{path.solver}; up to {distance:.2g} of the guess's size away from the guess")

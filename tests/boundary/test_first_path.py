@@ -50,7 +50,7 @@ def test_noise_does_not_hide_a_great_circle(seed):
     exact = cg.solve(problem, tol=1e-9)
     path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed))
     assert off(path, exact) < 10 * TOL
-    assert "first path by Newton's method from the guess smoothed" in path.solver
+    assert "Newton's method from the guess smoothed" in path.solver
 
 
 @pytest.mark.parametrize(
@@ -100,34 +100,11 @@ def test_many_swings_are_found_on_a_finer_mesh_than_the_first(strength, speed, h
     assert path.error_estimate <= 1e-6
 
 
-def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
-    """The cubic nearest to this guess leads to the path on the other side."""
-    problem, exact = comet(0.9)
-    path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed=2))
-    assert off(path, exact) < 10 * TOL
-    assert "smoothed" not in path.solver
-
-
 def test_a_guess_that_turns_sharply_is_resolved_by_the_first_mesh():
     """On the coarse one alone the path on the other side was found."""
     problem, exact = comet(0.97)
     path = cg.solve(problem, tol=1e-3, guess=exact)
     assert off(path, exact) < 1e-2
-
-
-def test_a_mesh_on_which_the_action_fell_is_not_kept_where_it_is_far_too_fine():
-    """Its 63 intervals would be those of all paths that are followed from this one, too."""
-    exact, span = partial(on_ellipse, 0.96), (-1.93, 1.58)
-    problem = cg.BoundaryProblem(kepler, span, exact(span[0]), exact(span[1]))
-
-    def wide(t):
-        anomaly = 1.37 * t + 0.14
-        return [np.cos(anomaly) - 0.48, np.sin(anomaly) / 2]
-
-    path = cg.solve(problem, tol=1e-8, guess=wide)
-    assert "first path by descent of the action" in path.solver
-    assert len(path.t) < 32
-    assert off(path, exact) < 1e-7
 
 
 def test_a_descent_whose_times_cannot_be_told_goes_on():
