@@ -86,7 +86,8 @@ def open_direction(problem: BoundaryProblem, path: PiecewisePolynomial, change: 
         together, one = ("together by", "one of them") if len(free) > 1 else ("by", "it")
         return f"Nothing holds {names}: moved {together} any amount, the path is as good; give {one} at one end"
     along = np.sum(moved * motion) ** 2 / max(np.sum(moved**2) * np.sum(motion**2), TINY)
-    if problem.autonomous and along > 1 - PART:
+    rests = np.max(np.abs(motion[:, [0, -1]])) < PART * np.max(np.abs(motion))
+    if problem.autonomous and rests and along > 1 - PART:
         return (
             "The path rests near both ends for so long that nothing tells when it passes from one to the other. Where "
             "it is symmetric, solve one half of it: from its middle, whose position is then known, in half of the time"

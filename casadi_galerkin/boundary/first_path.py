@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
-from functools import cache, partial
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TypeAlias, TypeGuard
 
 import numpy as np
@@ -30,7 +29,8 @@ from casadi_galerkin.problems.orbit_phase import has_phase
 from casadi_galerkin.problems.problem import map_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, relative_distance
-from casadi_galerkin.solvers.newton import NEWTON, damped_newton
+from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
 ITERATIONS = 40  # most iterations of Newton's method before another way is tried; with more it moves far away
@@ -40,7 +40,9 @@ MORE = 4  # factor on the intervals of a coarse mesh that is too coarse for any 
 GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a guess
 # truncation error of a guess on a first mesh: loose for corners and noise, tight for layers
 COARSE_RESOLUTION, FINE_RESOLUTION = 0.1, 1e-6
-RANDOM = "random guesses"  # name of the last strategy without a guess
+# names of strategies: those that begin at the guess and lead nearby, and others
+LOCAL = "Newton's method", "Newton's method from the guess smoothed", "Newton's method on a finer mesh"
+DESCENT, RANDOM = "descent of the action", "random guesses"
 
 Find: TypeAlias = Callable[[], CriticalPoint]
 Strategy: TypeAlias = tuple[str, Find]  # its name in reports, and how to find a first path
@@ -84,32 +86,15 @@ def _differs(one: PiecewisePolynomial, other: PiecewisePolynomial) -> bool:
     return len(one.mesh) != len(other.mesh) or relative_distance(one.values, other.values) > EPS**0.5
 
 
-def _nearest(
-    guess: PiecewisePolynomial,
-    starts: Mapping[str, Callable[[], PiecewisePolynomial]],
-    solved: Callable[[PiecewisePolynomial], CriticalPoint],
-) -> CriticalPoint:
-    """The first path found that is near the guess, or else the first path found, with the name of its start.
-
-    The first start is the guess itself; others that do not differ from it are left out.
-    """
-    found, failures = list[CriticalPoint](), list[ConvergenceError]()
-    for name, start in starts.items():
-        begun = start()
-        if begun is not guess and not _differs(begun, guess):
-            continue
-        try:
-            point = solved(begun)
-            point = replace(point, solution=replace(point.solution, report=name))
-        except ConvergenceError as failure:
-            failures.append(failure)
-            continue
-        if distance_from_guess(guess, point.polynomial) <= FAR_FROM_GUESS:
-            return point
-        found.append(point)
-    if not found:
-        raise failures[0]
-    return found[0]
+def _near(guess: PiecewisePolynomial, far: list[Strategy], name: str, find: Find) -> CriticalPoint:
+    """Find a path; one that is far from the guess is put by, for where no nearer one is found."""
+    point = find()
+    distance = distance_from_guess(guess, point.polynomial)
+    if distance > FAR_FROM_GUESS:
+        far.append((name, lambda: point))
+        away = f"the path found is up to {distance:.2g} of the guess's size away from the guess"
+        raise ConvergenceError(away, Path(point.polynomial))
+    return point
 
 
 def first_path_strategies(
@@ -120,42 +105,63 @@ def first_path_strategies(
     solver: SolverLike,
     intermediate_path: Callable[[GraphCache, PiecewisePolynomial], CriticalPoint],
 ) -> Iterator[Strategy]:
-    """Strategies to find a first path, in the order in which they are tried.
+    """Strategies to find a first path from a guess, which is `given` on a first mesh, in the order of their cost.
 
-    First Newton's method on the coarse mesh; where that finds no path near a guess, also from the guess smoothed, and
-    on a mesh that resolves the guess.  A path that is found is kept, near or far.
-    Then its rescues on the coarse mesh; a homotopy in the force, if there is one, whose paths `intermediate_path`
-    finds; a descent of the action with moving joints; and finally the search for `several_paths` on a finer mesh.
+    Where a path is found that is far from a guess, a nearer one is looked for by Newton's method from the guess
+    smoothed and on a mesh that resolves it, and by a descent of the action; if there is none, the first one is taken.
+    The straight line is no guess.
     """
-    problem = graphs.problem
+    if not is_newton(solver):
+        yield repr(solver), partial(graphs.solve, method, given.mesh, given.values, solver)
+        return
+    if guess is not None and not _differs(
+        given, graphs.transcription(method, given.mesh).guess_on_mesh(None, given.mesh)
+    ):
+        guess = None
+    far = list[Strategy]()
+    for name, find in _strategies(graphs, method, guess, given, warm_newton(solver), intermediate_path):
+        if name in LOCAL or not far:
+            yield name, find if guess is None else partial(_near, given, far, name, find)
+        elif name == DESCENT:  # which follows the guess, even if far
+            yield name, find
+    yield from far[:1]
 
-    @cache
-    def finer() -> PiecewisePolynomial:
-        return guess_on_resolving_mesh(graphs, method, guess, given.mesh, FINE_RESOLUTION)
+
+def _strategies(
+    graphs: GraphCache,
+    method: Galerkin,
+    guess: Guess | None,
+    given: PiecewisePolynomial,
+    brief: SolverLike,
+    intermediate_path: Callable[[GraphCache, PiecewisePolynomial], CriticalPoint],
+) -> Iterator[Strategy]:
+    """All strategies, whatever they find.
+
+    Newton's method on the first mesh, from the guess smoothed, and on a finer mesh; its rescues on the first mesh; a
+    homotopy in the force, if there is one, whose paths `intermediate_path` finds; a descent of the action with moving
+    joints; and finally the search for `several_paths` on a finer mesh.
+    """
 
     def solved(begun: PiecewisePolynomial, by: SolverLike) -> CriticalPoint:
         return graphs.solve(method, begun.mesh, begun.values, by)
 
-    if not is_newton(solver):
-        yield repr(solver), partial(solved, given, solver)
-        return
-    brief = warm_newton(solver)
-    starts: dict[str, Callable[[], PiecewisePolynomial]] = {NEWTON: lambda: given}
+    problem, finer = graphs.problem, given
+    yield LOCAL[0], partial(solved, given, brief)
     if guess is not None:
-        starts["Newton's method from the guess smoothed"] = lambda: _smoothed(given)
-        starts["Newton's method on a finer mesh"] = finer
-    yield "Newton's method", partial(_nearest, given, starts, partial(solved, by=brief))
+        smoothed, finer = _smoothed(given), guess_on_resolving_mesh(graphs, method, guess, given.mesh, FINE_RESOLUTION)
+        for name, start in zip(LOCAL[1:], (smoothed, finer), strict=True):
+            if _differs(start, given):
+                yield name, partial(solved, start, brief)
     stationarity = graphs.transcription(method, given.mesh).stationarity
     for name, rescue in rescues(stationarity).items():
         yield name, partial(solved, given, rescue)
-    fine = finer().mesh
-    fine = resized_mesh(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
+    fine = resized_mesh(finer.mesh, max(MORE * (len(given.mesh) - 1), len(finer.mesh) - 1), problem.breakpoints)
     if problem.force is not None:
         start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
         yield "Newton's method under a growing force", partial(path_by_homotopy, graphs, start, intermediate_path)
     if stationarity.variational and not stationarity.functional.numbering.multipliers:
         joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
-        yield "descent of the action", partial(_by_descent, graphs, method, joints, guess, brief)
+        yield DESCENT, partial(_by_descent, graphs, method, joints, guess, brief)
     if not has_phase(problem):
         yield RANDOM, partial(_by_random_guesses, graphs, method, fine, brief)
 

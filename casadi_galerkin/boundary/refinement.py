@@ -197,7 +197,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here: {cause}"
             hint = "Try a looser tolerance, or a method of higher degree, with fewer intervals and less roundoff"
             change = graph.softest(level.solution.unknowns, level.solution.data)[1]
-            hint = open_direction(self.graphs.problem, level.polynomial, change, hint)
+            hint = ". ".join(filter(None, (hint, open_direction(self.graphs.problem, level.polynomial, change, ""))))
             raise self.stopped(reason, level, floor, hint)
         return floor
 
