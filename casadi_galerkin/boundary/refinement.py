@@ -337,7 +337,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             except LimitReached:
                 raise
             except ConvergenceError as failure:
-                if failure.residual <= ACCEPTED:
+                if first is not None and failure.residual <= ACCEPTED:
                     raise  # a path was found: another mesh may only hide what is wrong with it
                 if isinstance(failure, ConjugatePointError) and failures and first is not None:
                     words = f"no path was found: that of a coarse mesh is lost on a finer one, where {failure}"
