@@ -114,6 +114,7 @@ def test_an_angle_stays_within_its_bounds():
     np.testing.assert_array_equal(found[~inside], values.reshape(-1, 1).T[~inside])
 
 
+@pytest.mark.slow
 def test_what_controls_miss_between_the_points_is_an_error_of_the_path():
     path = arrived(1e-6)
     wrong = scrambled(path)

@@ -115,7 +115,8 @@ def test_a_bound_that_is_touched_for_a_short_time_at_a_joint_is_seen_to_be_excee
     assert np.max(path(np.linspace(0, 1, 40001))) / cap - 1 <= path.error_estimate
 
 
-@pytest.mark.parametrize(("cap", "asked"), [(0.5, 1e-4), *slow((0.3, 1e-8), (0.8, 1e-6))])
+@pytest.mark.slow
+@pytest.mark.parametrize(("cap", "asked"), [(0.3, 1e-8), (0.5, 1e-4), (0.8, 1e-6)])
 def test_what_a_bound_of_a_first_order_component_is_exceeded_by_counts_in_the_cost(cap, asked):
     """Held at the points of Gauss in place of the nodes, the same bound gives the same cost."""
     late = lambda t, x, v, u: (u**2 + 10 * (x - ca.sin(t)) ** 2) / 2  # noqa: E731
@@ -135,8 +136,10 @@ def test_a_path_constraint_of_no_values_limits_nothing():
     ("width", "when", "height", "asked"),
     [
         (0.0083, 0.3658, 0.42, {"cost_tol": 1.4e-4}),
-        (0.00115, 0.2827, 1.19, {"cost_tol": 1e-4}),
-        (0.001679755, 0.4373338526, 1.1468407689, {"tol": 4.0143e-4}),
+        *slow(
+            (0.00115, 0.2827, 1.19, {"cost_tol": 1e-4}),
+            (0.001679755, 0.4373338526, 1.1468407689, {"tol": 4.0143e-4}),
+        ),
     ],
 )
 def test_an_obstacle_narrower_than_the_points_are_apart_counts_in_the_cost(width, when, height, asked):
@@ -163,8 +166,9 @@ def test_a_path_constraint_that_is_not_finite_at_an_end_does_not_stop_the_refine
     assert np.all(path.x[1, :-1] >= 0.4 * path.x[0, :-1] - 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [{"tol": 1e-3}, {"cost_tol": 1e-3}], ids=list)
-@pytest.mark.parametrize(("radius", "where"), [(1.2, 45.5), *slow((0.7, 58.9), (1.1, 40.8))])
+@pytest.mark.parametrize(("radius", "where"), [(1.2, 45.5), (0.7, 58.9), (1.1, 40.8)])
 def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
     """Its squared distance is exceeded by the square of its radius, which is small beside that of the path."""
     distance = lambda t, x, v, u: (x[0] - where) ** 2 + (x[1] - 0.01) ** 2  # noqa: E731
@@ -186,6 +190,7 @@ def test_a_wall_thinner_than_an_interval_is_not_flown_through(half, asked):
         assert path.cost == pytest.approx(6.472, rel=2e-2)
 
 
+@pytest.mark.slow
 def test_an_obstacle_that_is_met_does_not_count_by_its_excess_in_the_cost():
     """A square of half side 0.02, met at two corners: the multipliers tell what its excess costs."""
     flight = plane(
