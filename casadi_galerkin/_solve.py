@@ -13,7 +13,8 @@ from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
-from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import check_verbose, whole
 from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.refinement import ControlRefinement, first_control_discretization
@@ -24,7 +25,7 @@ from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_kind, mesh_for
+from casadi_galerkin.problems.problem import check_kind, check_types
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
@@ -132,6 +133,7 @@ def solve(
     0.569747
     """
     check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
+    check_method(method, optional=True)
     check_verbose(verbose)
     if not isinstance(problem, ControlProblem) and whole(starts) != 1:
         several = "`paths` finds several paths of a BoundaryProblem"
@@ -144,7 +146,7 @@ def solve(
             raise ValueError(f"an InitialProblem is solved step by step, and takes no {' and '.join(extra)}")
         if method is None:
             raise ValueError("give a method and intervals, got no method")
-        return integrate(problem, method, mesh_for(problem, intervals, mesh), verbose)
+        return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), verbose)
     _check_limits(limits, tolerance)
     if solver is None:
         solver = ipopt if isinstance(problem, ControlProblem) else newton
@@ -189,7 +191,6 @@ def _graph(
     """Build the graph of a fixed discretization; `mapping` is how terms are evaluated at many points."""
     if method is None:
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
-    check_kind(problem, BoundaryProblem, ControlProblem)
     if isinstance(problem, ControlProblem):
         return transcribed_control(problem, method, intervals, mesh, mapping)
     return transcribed(problem, method, intervals, mesh, mapping)
@@ -267,6 +268,8 @@ def transcribe(
     >>> [float(transcription.solve(end=[height]).momentum[0, 0].round(6)) for height in (1.0, 2.0)]
     [6.0, 7.0]
     """
+    check_kind(problem, BoundaryProblem, ControlProblem)
+    check_method(method, optional=True)
     _check_limits(limits, tol)
     if tol is not None:
         if not isinstance(problem, BoundaryProblem):
@@ -342,7 +345,7 @@ def solution_function(
     >>> float(f(start=[0], end=[2], parameters=[1], guess=path.polynomial.values)["x"][0, 5].full()[0, 0].round(6))
     1.139494
     """
-    check_kind(problem, BoundaryProblem, ControlProblem)
+    check_types(problem, method, BoundaryProblem, ControlProblem)
     if isinstance(problem, ControlProblem):
         return control_function(problem, method, intervals, mesh, guess, ipopt if solver is None else solver)
     if solver is not None:

@@ -23,12 +23,11 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import numbers, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.buffers import interrupts_raised
-from casadi_galerkin.functional.mass_check import check_mass
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.orbit_phase import refuse_free_phase
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.orbit_phase import refuse_free_phase
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import Advance, progress
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -144,7 +143,6 @@ def continuation(
     branches = whole_number("branches", branches, 0)
     transcription = transcribed(problem, method, intervals, mesh)
     refuse_free_phase("continuation", problem)
-    check_mass(problem.varied({"parameters": aim.tolist()}))
     follower = BranchFollower(transcription, aim)
     first = follower.first_point(guess)
     with progress("continuation", unit="path") as advance:

@@ -25,7 +25,6 @@ from casadi_galerkin.calculus.mesh_adaptation import (
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.mapping import by_rows
-from casadi_galerkin.problems.orbit_phase import has_phase
 from casadi_galerkin.problems.problem import map_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, relative_distance
@@ -162,7 +161,7 @@ def _strategies(
     if stationarity.variational and not stationarity.functional.numbering.multipliers:
         joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
         yield DESCENT, partial(_by_descent, graphs, method, joints, guess, brief)
-    if not has_phase(problem):
+    if not problem.free_phase:
         yield RANDOM, partial(_by_random_guesses, graphs, method, fine, brief)
 
 

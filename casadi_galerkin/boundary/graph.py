@@ -17,14 +17,14 @@ from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.boundary_terms import functional_of, given_values
+from casadi_galerkin.functional.constrained_motion import tangent_at_joints
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.constrained_motion import tangent_at_joints
-from casadi_galerkin.problems.orbit_phase import has_phase, phase_plane
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
+from casadi_galerkin.solution.orbit_phase import phase_plane
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
 from casadi_galerkin.solvers.solver import SolverLike, newton
@@ -186,11 +186,11 @@ class BoundaryGraph:
 
     def plane(self, path: PiecewisePolynomial) -> np.ndarray | None:
         """The plane that fixes the phase of a path, if one is needed."""
-        return phase_plane(path) if has_phase(self.problem) else None
+        return phase_plane(path) if self.problem.free_phase else None
 
     def plane_in(self, data: Data) -> np.ndarray | None:
         """The plane among the data, if one is needed; it stands before the energy, which is last."""
-        return data[-1][-2 * self.problem.dimension - 1 : -1] if has_phase(self.problem) else None
+        return data[-1][-2 * self.problem.dimension - 1 : -1] if self.problem.free_phase else None
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
         """Unknowns ξ from node values (N m + 1, d); for the node values of a critical point they are its unknowns.

@@ -10,7 +10,6 @@ from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.mapping import PointMap, one_by_one
-from casadi_galerkin.functional.mass_check import check_mass
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
@@ -25,14 +24,11 @@ class GraphCache:
     """
 
     def __init__(self, problem: BoundaryProblem, mapping: PointMap = one_by_one, verbose: int = 0) -> None:
-        check_mass(problem)
         self.problem, self.iterations, self._mapping, self.verbose = problem, 0, mapping, verbose
         self._transcriptions: dict[tuple[Galerkin, int], Transcription] = {}
 
     def for_problem(self, problem: BoundaryProblem, verbose: int = 0) -> GraphCache:
         """The same graphs for a problem that is `varied` from this one's; new graphs are kept for both."""
-        if problem.parameters != self.problem.parameters:  # masses may depend on them
-            check_mass(problem)
         other = copy(self)
         other.problem, other.iterations, other.verbose = problem, 0, verbose
         return other

@@ -43,7 +43,7 @@ from casadi_galerkin.boundary.first_path import (
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.transcription import Transcription
-from casadi_galerkin.calculus.discrete_calculus import NEAREST
+from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
     FEWEST,
@@ -55,7 +55,6 @@ from casadi_galerkin.calculus.mesh_adaptation import (
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import check_types, mesh_for
 from casadi_galerkin.solution.error_indicators import scaled_indicators
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, joined_by_lines
@@ -390,7 +389,6 @@ def first_discretization(
 ) -> tuple[Galerkin, np.ndarray]:
     """Method and joints with which a refinement begins; refuses what does not fit, see `solve` for the arguments."""
     method = method_for(tol) if method is None else method
-    check_types(problem, method, BoundaryProblem)
     if intervals is None and mesh is None:
         intervals = max(FEWEST, math.ceil(FIRST_NODES / method.degree), 1 + len(problem.breakpoints))
-    return method, mesh_for(problem, intervals, mesh)
+    return method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)

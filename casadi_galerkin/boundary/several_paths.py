@@ -33,9 +33,9 @@ from casadi_galerkin.calculus.numbers import checked_index, counted, real_array,
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.orbit_phase import refuse_free_phase
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import waves
+from casadi_galerkin.solution.orbit_phase import refuse_free_phase
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words

@@ -14,24 +14,25 @@ from casadi_galerkin.boundary.error_estimate import error_between_ends
 from casadi_galerkin.boundary.failure_report import refuse_undefined
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
 from casadi_galerkin.calculus.cached_property import cached_property
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.functional.buffers import interrupts_raised
+from casadi_galerkin.functional.constrained_motion import off_constraint
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
-from casadi_galerkin.functional.mass_check import check_mass
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.functional.velocities import convex
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import off_constraint
-from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
-from casadi_galerkin.problems.orbit_phase import turned_back
-from casadi_galerkin.problems.problem import END_MOTIONS, check_types, mesh_for
+from casadi_galerkin.problems.legendre_transform import legendre_transform
+from casadi_galerkin.problems.problem import END_MOTIONS
 from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.orbit_phase import turned_back
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_pattern
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -263,6 +264,4 @@ def transcribed(
     mapping: PointMap = by_rows,
 ) -> Transcription:
     """Check what is given, and build the graph; arguments as for `transcribe`, and how L is evaluated at the points."""
-    check_types(problem, method, BoundaryProblem)
-    check_mass(problem)
-    return Transcription(problem, method, mesh_for(problem, intervals, mesh), mapping)
+    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)

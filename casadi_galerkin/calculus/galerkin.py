@@ -111,9 +111,9 @@ class Galerkin:
         return f"degree {self.degree}, {control}{len(rule)} quadrature {points} of order {rule.order}"
 
 
-def check_method(method: object) -> None:
-    """Refuse anything but a Galerkin method."""
-    if not isinstance(method, Galerkin):
+def check_method(method: object, optional: bool = False) -> None:
+    """Refuse anything but a Galerkin method, or None where it is optional."""
+    if not (isinstance(method, Galerkin) or (optional and method is None)):
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
 
 

@@ -28,7 +28,6 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import VELOCITIES, rows_that_depend
-from casadi_galerkin.problems.end_limits import conditions_at_ends
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,7 @@ class Chain:
         self.mechanical, self.controls, self.constraints = problem.mechanical, problem.controls, problem.constraints
         self.parameters, self.terminal_cost = len(problem.parameters or ()), problem.terminal_cost is not None
         self.path_constraints = len(problem.path_constraint[1])
-        self.end_conditions = conditions_at_ends(problem)
+        self.end_conditions = problem.conditions_at_ends
         self.conditions = len(self.end_conditions[1])
         limited = self.conditions > len(problem.end_conditions[1])
         self._words_of_ends = (

@@ -25,8 +25,8 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.control.embedding import ChainEmbedding, PlaceLayout
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
+from casadi_galerkin.problems.breakpoint_events import Crossing
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.crossings import Crossing
 from casadi_galerkin.problems.legendre_transform import momentum_at
 
 Terms = dict[str, ca.SX]  # the rows, and the cost and the action where there are any

@@ -16,8 +16,8 @@ from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
+from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.crossings import is_limited
 from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.problem import ENDS
 

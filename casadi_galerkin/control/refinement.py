@@ -42,6 +42,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -54,7 +55,7 @@ from casadi_galerkin.control.starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import check_types, map_times, mesh_for, section_times
+from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
@@ -325,7 +326,6 @@ def first_control_discretization(
     Without intervals and mesh the joints are those of a guess whose error is known, if they are more.
     """
     method = control_method_for(tol) if method is None else method
-    check_types(problem, method, ControlProblem)
     if problem.hold:
         raise ValueError(
             "with hold every interval has one value of the controls, so the mesh is part of the problem and "
@@ -341,4 +341,4 @@ def first_control_discretization(
             own, other = (section_times(with_joined_phases(stated)) for stated in (guess.problem, problem))
             if len(own) == len(other):
                 return method, map_times(guess.t, own, other)
-    return method, mesh_for(problem, intervals, mesh)
+    return method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)

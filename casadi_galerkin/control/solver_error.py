@@ -31,7 +31,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
 from casadi_galerkin.control.embedding import sparse
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
-from casadi_galerkin.problems.linear_equations import NO_CUTOFF
+from casadi_galerkin.functional.linear_equations import NO_CUTOFF
 from casadi_galerkin.solution.control_trajectory import RemainingError
 
 Entries: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # rows, columns and values

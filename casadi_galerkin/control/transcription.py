@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshed
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS, or_one
@@ -34,13 +34,11 @@ from casadi_galerkin.control.program_bounds import bounds_of, check_count, check
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.control.starts import first_found
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
+from casadi_galerkin.functional.constrained_motion import check_points, off_constraint, tangent_at_joints
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
-from casadi_galerkin.functional.mass_check import check_mass
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE
-from casadi_galerkin.problems.constrained_motion import check_points, off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import check_types, mesh_for
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -178,8 +176,6 @@ class ControlTranscription:
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
-        if problem.parameters != self.problem.parameters:  # masses may depend on them
-            check_mass(problem)
 
         def attempt(way: Solver, at: Guess | None) -> ControlTrajectory:
             begun = self.starting_point(problem, calculus, at)
@@ -395,9 +391,7 @@ def transcribed_control(
     mapping: PointMap = by_rows,
 ) -> ControlTranscription:
     """Check what is given, and build the program; arguments as for `transcribe`, and how terms are evaluated."""
-    check_types(problem, method, ControlProblem)
-    check_mass(problem)
-    return ControlTranscription(problem, method, mesh_for(problem, intervals, mesh), mapping)
+    return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)
 
 
 def estimated_errors(solver: Solver, path: ControlTrajectory) -> tuple[float, float]:

@@ -28,16 +28,15 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.functional.constrained_motion import check_points
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
-from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import momentum_at
-from casadi_galerkin.problems.orbit_phase import has_phase
 from casadi_galerkin.problems.problem import END_MOTIONS
 
 
@@ -52,7 +51,7 @@ def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, ma
 def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> np.ndarray:
     """Given values that are inputs of the terms: velocities and momenta at the ends, the plane (n, c), the energy."""
     values = [value for name in END_MOTIONS for value in getattr(problem, name) if value is not None]
-    if has_phase(problem):
+    if problem.free_phase:
         values += [0.0] * (2 * problem.dimension) if plane is None else plane.tolist()
     return np.array(values + ([] if problem.energy is None else [problem.energy]))
 
@@ -175,7 +174,7 @@ class _Statement:
         """
         problem, d = self.problem, self.problem.dimension
         names = (*END_MOTIONS, "end_action", "end_conditions")
-        if not (has_phase(problem) or any(is_given(getattr(problem, name)) for name in names)):
+        if not (problem.free_phase or any(is_given(getattr(problem, name)) for name in names)):
             return None
         x, t, stated = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2), self._stated_motions()
         positions = ca.vertcat(*x)
@@ -185,7 +184,7 @@ class _Statement:
         further = ca.SX(0, 1)
         if problem.end_conditions is not None:
             further = self._called(problem.end_conditions, *x)
-        elif has_phase(problem):
+        elif problem.free_phase:
             normal, through, _ = ca.vertsplit(self.given, [0, d, 2 * d, 2 * d + 1])
             further = ca.dot(normal, x[0] - through)
         if further.numel():

@@ -15,8 +15,9 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.functional.numbering import CACHE_SIZE
+from casadi_galerkin.functional.velocities import velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.legendre_transform import coupled_by_mass, legendre_transform, velocities
+from casadi_galerkin.problems.legendre_transform import coupled_by_mass, legendre_transform
 from casadi_galerkin.problems.problem import ENDS
 
 

@@ -1,6 +1,7 @@
-"""What a user states, checked before anything is solved.
+"""What a user states, checked when a problem is made, and never after.
 
 A problem holds a Lagrangian L(t, x, v), traced once into a CasADi Function, with its ends, times, forces, constraints,
-costs and bounds.  The Legendre transform p = ∂L/∂v is here too, and so are the equations of motion at one instant under
-constraints and under controls, and the phase of a periodic path of given energy.  This folder imports `calculus`.
+costs and bounds.  For each kind of problem a table says how its statements are read (`statements`), and rules say what
+they must not contradict.  Problems that are `varied`, joined, parted or found are made of checked ones, and only what
+is new in them is looked at.  This folder imports `calculus`.
 """

@@ -8,7 +8,7 @@ with a force F, if there is one, that adds its virtual work ∫ F·δx dt.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from reprlib import repr as shown
 from typing import Any
@@ -16,11 +16,25 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
-from casadi_galerkin.problems.callables import Traceable, arguments, depends_on_time, trace_if, trace_lagrangian
-from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.legendre_transform import legendre_transform
+from casadi_galerkin.calculus.numbers import components, counted, flag
+from casadi_galerkin.problems.callables import Traceable, depends_on_time
+from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
+from casadi_galerkin.problems.legendre_transform import legendre_transform, singular_mass
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, with_changes
+from casadi_galerkin.problems.statements import (
+    check,
+    function,
+    lagrangian,
+    number,
+    optional,
+    parameters,
+    read,
+    span,
+    switch,
+    times,
+    vector,
+    vector_or_nothing,
+)
 
 Given = tuple[float | None, ...]
 SAME_ENERGY = 1e-9  # relative difference of two energies below which rounding may be the cause
@@ -105,41 +119,11 @@ class BoundaryProblem:
         energy: float | None = None,
         breakpoints: Sequence[float] = (),
     ) -> None:
-        closed = flag("periodic", periodic)
-        checked_start = components("start", start)
-        dimension = len(checked_start)
-        checked_end = (None,) * dimension if end is None else components("end", end, dimension)
-        if periodic and any(value is not None for value in checked_end):
-            raise ValueError(
-                f"a periodic path ends where it starts: leave out end, got {end!r}; a path that ends whole turns later "
-                "has end_conditions in place of periodic"
-            )
-        if end is None and not periodic:
-            raise ValueError(f"end must have {counted(dimension, 'component')}, got None; None is for a periodic path")
-        checked = None if parameters is None else numbers("parameters", parameters)
-        given = dict(zip(END_MOTIONS, (start_velocity, end_velocity, start_momentum, end_momentum), strict=True))
-        along = arguments(checked, t=1, x=dimension, v=dimension)
-        at_ends = arguments(checked, x0=dimension, x1=dimension)
-        span = time_span(t_span)
-        values = {
-            "lagrangian": trace_lagrangian(lagrangian, along),
-            "t_span": span,
-            "breakpoints": times_inside("breakpoints", breakpoints, span),
-            "start": checked_start,
-            "end": checked_end,
-            "parameters": checked,
-            "periodic": closed,
-            "force": trace_if("force", force, along, dimension),
-            "constraint": trace_if("constraint", constraint, arguments(checked, t=1, x=dimension), "any"),
-            **{name: (None,) * dimension if a is None else components(name, a, dimension) for name, a in given.items()},
-            "end_action": trace_if("end_action", end_action, at_ends, "scalar"),
-            "end_conditions": trace_if("end_conditions", end_conditions, at_ends, "any"),
-            "energy": None if energy is None else finite("energy", energy),
-        }
-        self.__dict__.update(values)  # the class is frozen
-        _check_ends(self)
-        check_constraint(self)
-        _check_energy(self)
+        if end is None and not flag("periodic", periodic):
+            size = counted(len(components("start", start)), "component")
+            raise ValueError(f"end must have {size}, got None; None is for a periodic path")
+        self.__dict__.update(read(STATEMENTS, locals()))  # the class is frozen
+        check(self, (*RULES, *RULES_OF_VALUES, singular_mass))
 
     def __repr__(self) -> str:
         """State the problem without its Lagrangian."""
@@ -161,6 +145,11 @@ class BoundaryProblem:
         return np.array([self.start, self.start if self.periodic else self.end], dtype=float)
 
     @property
+    def free_phase(self) -> bool:
+        """Whether a periodic path of given energy may begin anywhere on its orbit, until a guess fixes that."""
+        return self.energy is not None and self.periodic and not is_given(self.start)
+
+    @property
     def autonomous(self) -> bool:
         """Whether the energy is conserved: no force acts, and neither Lagrangian nor constraint depends on time."""
         return self.force is None and not depends_on_time(self.lagrangian, self.constraint)
@@ -175,32 +164,10 @@ class BoundaryProblem:
         t_span : (t_0, t_N) with the breakpoints inside; default the same
         """
         other = with_changes(self, changes, t_span)
-        check_constraint(other)
+        if other is not self:
+            masses = () if other.parameters == self.parameters else (singular_mass,)
+            check(other, (*RULES_OF_VALUES, *masses))
         return other
-
-
-def _check_ends(problem: BoundaryProblem) -> None:
-    """Refuse statements on the ends that contradict one another, or are too many."""
-    stated = [name for name in (*END_MOTIONS, "end_action", "end_conditions") if is_given(getattr(problem, name))]
-    if problem.periodic and stated:
-        raise ValueError(f"a periodic path has no ends: leave out {', '.join(stated)}")
-    given = [name for name in END_MOTIONS[:2] if is_given(getattr(problem, name))]
-    if problem.constraint is not None and given:
-        raise ValueError(f"a constraint leaves only tangent velocities: instead of {given[0]} give the momentum there")
-    taken = []
-    for side in ENDS:
-        position, *motions = (getattr(problem, name) for name in (side, f"{side}_velocity", f"{side}_momentum"))
-        for i, (x, velocity, momentum) in enumerate(zip(position, *motions, strict=True)):
-            named = {side: x, f"{side}_velocity": velocity, f"{side}_momentum": momentum}
-            named = {name: value for name, value in named.items() if value is not None}
-            if len(named) > 1:
-                words = " and ".join(f"{name}[{i}] = {value}" for name, value in named.items())
-                raise ValueError(f"only one of position, velocity and momentum may be given at an end, got {words}")
-            taken.append(list(named))
-    for name in ("end_action", "end_conditions"):
-        function = getattr(problem, name)
-        if function is not None:
-            _check_end_function(name, function, taken)
 
 
 def is_given(value: object) -> bool:
@@ -208,60 +175,108 @@ def is_given(value: object) -> bool:
     return any(a is not None for a in value) if isinstance(value, tuple) else value is not None
 
 
-def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]) -> None:
-    """Refuse a function of the ends that no free component can follow; `taken` lists what is given of each."""
-    d = len(taken) // 2
-    pattern = ca.horzcat(function.sparsity_jac(0, 0), function.sparsity_jac(1, 0))
-    depends = [i in pattern.get_col() for i in range(2 * d)]
-    for i, (given, used) in enumerate(zip(taken, depends, strict=True)):
-        if used and given and given[0] not in ENDS:
-            raise ValueError(
-                f"{name} depends on {ENDS[i // d]} component {i % d}, where {given[0]} is given: leave out one"
-            )
-    free = [i for i, given in enumerate(taken) if not given]
-    if not any(depends[i] for i in free):
-        raise ValueError(f"{name} depends on no component that is free at the ends, so it changes nothing")
-    count = function.size1_out(0)
-    if name == "end_conditions":
-        rank = ca.sprank(ca.DM(pattern, 1.0)[:, free])
-        if rank < count:
-            raise ValueError(
+def _ends(problem: BoundaryProblem) -> Iterator[str]:
+    """Statements on the ends contradict one another, or are too many."""
+    if problem.periodic and is_given(problem.end):
+        yield (
+            f"a periodic path ends where it starts: leave out end, got {list(problem.end)}; a path that ends whole "
+            "turns later has end_conditions in place of periodic"
+        )
+    stated = [name for name in (*END_MOTIONS, "end_action", "end_conditions") if is_given(getattr(problem, name))]
+    if problem.periodic and stated:
+        yield f"a periodic path has no ends: leave out {', '.join(stated)}"
+    given = [name for name in END_MOTIONS[:2] if is_given(getattr(problem, name))]
+    if problem.constraint is not None and given:
+        yield f"a constraint leaves only tangent velocities: instead of {given[0]} give the momentum there"
+
+
+def _given_at_ends(problem: BoundaryProblem) -> list[dict[str, float]]:
+    """What is given of every component at the start, and then at the end, by name."""
+    names = [(side, f"{side}_velocity", f"{side}_momentum") for side in ENDS]
+    return [
+        {name: values[i] for name in some if (values := getattr(problem, name))[i] is not None}
+        for some in names
+        for i in range(problem.dimension)
+    ]
+
+
+def _twice_given(problem: BoundaryProblem) -> Iterator[str]:
+    """More than one of position, velocity and momentum is given of a component."""
+    for k, given in enumerate(_given_at_ends(problem)):
+        if len(given) > 1:
+            words = " and ".join(f"{name}[{k % problem.dimension}] = {value}" for name, value in given.items())
+            yield f"only one of position, velocity and momentum may be given at an end, got {words}"
+
+
+def _functions_of_ends(problem: BoundaryProblem) -> Iterator[str]:
+    """An end action or end conditions that no free component can follow."""
+    d, given = problem.dimension, _given_at_ends(problem)
+    free = [i for i, values in enumerate(given) if not values]
+    for name in ("end_action", "end_conditions"):
+        function = getattr(problem, name)
+        if function is None:
+            continue
+        pattern = ca.horzcat(function.sparsity_jac(0, 0), function.sparsity_jac(1, 0))
+        used = sorted(set(pattern.get_col()))
+        for i in used:
+            if given[i] and ENDS[i // d] not in given[i]:
+                where = f"{ENDS[i // d]} component {i % d}"
+                yield f"{name} depends on {where}, where {min(given[i])} is given: leave out one"
+        if not set(used) & set(free):
+            yield f"{name} depends on no component that is free at the ends, so it changes nothing"
+        count, rank = function.size1_out(0), ca.sprank(ca.DM(pattern, 1.0)[:, free])
+        if name == "end_conditions" and rank < count:
+            yield (
                 f"end_conditions are {count}, but only {rank} can be met by the {counted(len(free), 'component')} free "
                 "at the ends: leave out some, or free more components with None"
             )
 
 
-def _check_energy(problem: BoundaryProblem) -> None:
+def _energy(problem: BoundaryProblem) -> Iterator[str]:
+    """A given energy is not conserved, or the problem says more than it leaves free."""
     if problem.energy is None:
         return
     if problem.force is not None:
-        raise ValueError("a force changes the energy: give force or energy, got both")
+        yield "a force changes the energy: give force or energy, got both"
     if not problem.autonomous:
-        raise ValueError("a given energy needs a lagrangian and a constraint that do not depend on t")
+        yield "a given energy needs a lagrangian and a constraint that do not depend on t"
     if problem.breakpoints:
-        raise ValueError(
-            f"a given energy frees the duration, so that breakpoints have no place, got {problem.breakpoints}"
-        )
-    _check_rest(problem, problem.energy)
+        yield f"a given energy frees the duration, so that breakpoints have no place, got {problem.breakpoints}"
 
 
-def _check_rest(problem: BoundaryProblem, energy: float) -> None:
-    """Refuse an energy below that of rest at a given end, which is the least one where kinetic energies are positive.
+def _rest(problem: BoundaryProblem) -> Iterator[str]:
+    """A given energy is below that of rest at an end, which is the least one where kinetic energies are positive.
 
     It is checked where ∂²L/∂v² does not depend on v: otherwise the energy need not be least at rest.
     """
-    transform = legendre_transform(problem.lagrangian)
-    if transform.sparsity_jac(2, 1).nnz():
+    energy, transform = problem.energy, legendre_transform(problem.lagrangian)
+    if energy is None or transform.sparsity_jac(2, 1).nnz():
         return
-    given = [] if problem.parameters is None else [problem.parameters]
     for name in ENDS:
         place = getattr(problem, name)
         if None in place:
             continue
-        at = (problem.t_span[0], place, [0.0] * problem.dimension, *given)
+        at = (problem.t_span[0], place, [0.0] * problem.dimension, *filter(None, [problem.parameters]))
         rest, mass = -float(problem.lagrangian(*at)), transform(*at)[1].full()
         lower = rest - energy > SAME_ENERGY * max(abs(rest), abs(energy))
         if lower and np.isfinite(mass).all() and np.all(np.linalg.eigvalsh(mass) > 0):
-            raise ValueError(
-                f"no path of the energy {energy:g} goes through the {name} {list(place)}, where rest has {rest:g}"
-            )
+            yield f"no path of the energy {energy:g} goes through the {name} {list(place)}, where rest has {rest:g}"
+
+
+STATEMENTS = {
+    "start": vector,
+    "end": vector_or_nothing,
+    "parameters": parameters,
+    "periodic": switch,
+    "t_span": span,
+    "lagrangian": lagrangian,
+    "breakpoints": times,
+    "force": function("t x v", "x"),
+    "constraint": function("t x", "any"),
+    **dict.fromkeys(END_MOTIONS, vector_or_nothing),
+    "end_action": function("x0 x1", "scalar"),
+    "end_conditions": function("x0 x1", "any"),
+    "energy": optional(number),
+}
+RULES = _ends, _twice_given, _functions_of_ends, impossible_constraint, _energy
+RULES_OF_VALUES = constraint_at_ends, _rest

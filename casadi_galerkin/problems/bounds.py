@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.problems.callables import Traceable, is_of_nothing, of_nothing, trace
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
@@ -75,32 +74,3 @@ def within_rounding(values: np.ndarray, low: ArrayLike, high: ArrayLike, sizes: 
     largest = np.fmax(np.abs(nearest), np.abs(sizes))
     rounded = ROUNDED * np.where((largest > 0) & np.isfinite(largest), largest, 1.0)
     return np.where((nearest - rounded <= values) & (values <= nearest + rounded), nearest, values)
-
-
-def duration_bounds_of(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:
-    """Check bounds of the durations of all phases; None where durations are not free."""
-    if given is None:
-        return None
-    low, high = bounds("duration_bounds", given, phases)
-    if min(low) <= 0:
-        raise ValueError(f"duration_bounds must be positive, got {given}")
-    return low, high
-
-
-def parameter_bounds_of(given: tuple[Limit, Limit] | None, parameters: tuple[float, ...] | None) -> Bounds | None:
-    """Check bounds of the parameters; None where parameters are not free."""
-    if given is None:
-        return None
-    if parameters is None:
-        raise ValueError("parameter_bounds need parameters, which are the guess")
-    return bounds("parameter_bounds", given, len(parameters))
-
-
-def limited_values(name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: Mapping[str, int]) -> Limited:
-    """Check (g, lo, hi): trace the function g, and check the bounds of its values; without values where it is None."""
-    if given is not None and (not isinstance(given, (tuple, list)) or len(given) != 3):
-        raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {given!r}")
-    if given is None or is_of_nothing(given[0]):
-        return of_nothing(name, sizes), (), ()
-    traced = trace(name, given[0], sizes, "any")
-    return (traced, *bounds(name, (given[1], given[2]), traced.numel_out(0)))

@@ -208,19 +208,10 @@ def is_of_nothing(function: object) -> bool:
     return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
 
 
-def trace_if(name: str, function: Traceable | None, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function | None:
-    """`trace` a callable that may be left out, which is None."""
-    return None if function is None else trace(name, function, sizes, rows)
-
-
-def trace_lagrangian(lagrangian: Traceable, sizes: Mapping[str, int], mechanical: int | None = None) -> ca.Function:
-    """Trace L(t, x, v[, p]) and check that it depends on every v[i].
-
-    If `mechanical` is given, it must depend on the velocities of the first so many components, and on no others.
-    """
+def trace_lagrangian(lagrangian: Traceable, sizes: Mapping[str, int], count: int) -> ca.Function:
+    """Trace L(t, x, v[, p]) and check that it depends on the first `count` velocities, and on no others."""
     function = trace("lagrangian", lagrangian, sizes, "scalar")
     used = function.sparsity_jac(2, 0)
-    count = sizes["v"] if mechanical is None else mechanical
     ignored = [i for i in range(count) if not used.has_nz(0, i)]
     if ignored:
         names = ", ".join(f"v[{i}]" for i in ignored)

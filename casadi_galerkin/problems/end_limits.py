@@ -7,17 +7,18 @@ limited at the end, too, as by an end condition.
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.problems.bounds import Limited
-from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 
 END = 2, 3  # numbers of the arguments x1, v1 of end conditions
 
 
-def limited_at_end(problem: ControlProblem) -> tuple[list[int], list[int]]:
+def limited_at_end(problem: Any) -> tuple[list[int], list[int]]:
     """Indices of path constraints that limit the end, and of equations of positions that limit its velocity.
 
     They depend on what is not given there.  Equations that are as many as the controls are left out, because at the
@@ -41,7 +42,7 @@ def limited_at_end(problem: ControlProblem) -> tuple[list[int], list[int]]:
     return np.flatnonzero(limited & ~excluded).tolist(), np.flatnonzero(held & ~excluded).tolist()
 
 
-def conditions_at_ends(problem: ControlProblem) -> Limited:
+def conditions_at_ends(problem: Any) -> Limited:
     """The end conditions of a problem, and behind them its path constraints that limit the end."""
     conditions, low, high = problem.end_conditions
     rows, held = limited_at_end(problem)

@@ -9,9 +9,30 @@ from typing import ClassVar
 
 import casadi as ca
 
-from casadi_galerkin.calculus.numbers import counted, numbers, time_span
-from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
-from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
+from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.problems.callables import Traceable
+from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
+from casadi_galerkin.problems.statements import (
+    check,
+    function,
+    lagrangian,
+    optional,
+    parameters,
+    read,
+    span,
+    whole_vector,
+)
+
+STATEMENTS = {
+    "position": whole_vector,
+    "parameters": parameters,
+    "lagrangian": lagrangian,
+    "t_span": span,
+    "momentum": optional(whole_vector),
+    "velocity": optional(whole_vector),
+    "force": function("t x v", "x"),
+    "constraint": function("t x", "any"),
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,26 +90,10 @@ class InitialProblem:
                 "InitialProblem takes lagrangian, t_span and position in this order, and all else by name, such as "
                 f"velocity=[1.0] or momentum=[1.0], got {further[0]!r} as a fourth argument"
             )
-        checked_position = numbers("position", position)
-        d = len(checked_position)
         if (momentum is None) == (velocity is None):
             raise ValueError(f"give either momentum or velocity, got momentum={momentum!r} and velocity={velocity!r}")
-        checked_parameters = None if parameters is None else numbers("parameters", parameters)
-        along = arguments(checked_parameters, t=1, x=d, v=d)
-        values = {
-            "lagrangian": trace_lagrangian(lagrangian, along),
-            "t_span": time_span(t_span),
-            "position": checked_position,
-            "momentum": None if momentum is None else numbers("momentum", momentum, d),
-            "velocity": None if velocity is None else numbers("velocity", velocity, d),
-            "parameters": checked_parameters,
-            "force": trace_if("force", force, along, d),
-            "constraint": trace_if("constraint", constraint, arguments(checked_parameters, t=1, x=d), "any"),
-        }
-        self.__dict__.update(values)  # the class is frozen
-        check_constraint(self)
-        if self.velocity is not None:
-            check_tangent(self, "velocity", self.t_span[0], self.position, self.velocity)
+        self.__dict__.update(read(STATEMENTS, locals()))  # the class is frozen
+        check(self, (impossible_constraint, constraint_at_ends, leaving_velocity))
 
     def __repr__(self) -> str:
         """State the problem without its Lagrangian."""

@@ -1,17 +1,17 @@
-"""The Legendre transform p = ∂L/∂v, and the velocities that belong to given momenta."""
+"""The Legendre transform p = ∂L/∂v, and whether its mass matrix ∂²L/∂v² determines velocities."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS, or_one
+from casadi_galerkin.calculus.roundoff import component_sizes, or_one
 
-ITERATIONS = 100
-FOUND = 1e-9  # relative step from which a velocity counts as found if roundoff keeps it from converging further
+GENERIC = 0.1, 0.4, 0.7  # fractions of a bent line between the ends, at which the mass matrix is evaluated
 DEGENERATE = 1e-13  # singular value of ∂²L/∂v², over the largest, below which a direction of v has no momentum
 
 
@@ -40,17 +40,6 @@ def momentum_at(lagrangian: ca.Function, t: ca.SX, x: ca.SX, v: ca.SX, *paramete
     return ca.substitute(momentum, symbol, ca.densify(v))
 
 
-def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Velocities v (d, K) -> momenta (d, K), mass matrices (K, d, d)."""
-    mapped = transform.map(len(t))
-
-    def at(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        momenta, masses = (np.array(a) for a in mapped(t[None, :], x, v))
-        return momenta, masses.reshape(len(v), len(t), len(v)).transpose(1, 0, 2)
-
-    return at
-
-
 def scaled_masses(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mass matrices (..., d, d) scaled so that units do not matter, and the scales that they were divided by.
 
@@ -76,72 +65,35 @@ def refuse_degenerate(mass: np.ndarray, where: str) -> None:
     if not np.all(np.isfinite(mass)):
         raise ValueError(f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}")
     if degenerate(mass):
-        raise ValueError(
-            f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not "
-            f"determine the velocities; got {mass.tolist()}"
-        )
+        raise ValueError(_singular(mass, where))
 
 
-def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
-    """Whether ∂²L/∂v² has no negative eigenvalue at any of many points; arguments as for `velocities`."""
-    eigenvalues = np.linalg.eigvalsh(scaled_masses(_at(transform, t, x)(v)[1])[0])
-    return bool(np.all(eigenvalues[:, 0] >= -DEGENERATE * np.abs(eigenvalues).max(axis=1)))
+def _singular(mass: np.ndarray, where: str) -> str:
+    return (
+        f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not determine "
+        f"the velocities; got {mass.tolist()}"
+    )
 
 
-def velocities(
-    transform: ca.Function, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, guess: np.ndarray
-) -> np.ndarray:
-    """Velocities v with ∂L/∂v(t, x, v) = p at many points; NaN where none was found.
+def singular_mass(problem: Any) -> Iterator[str]:
+    """A rule: the mass matrix is regular at one of some generic points between the ends.
 
-    Newton's method from a guess, or from rest where L is not defined at it; each step is halved until the next one is
-    shorter.
-
-    Parameters
-    ----------
-    transform : `legendre_transform` of L
-    t : (K,)
-    x, momentum, guess : (d, K)
+    Only components with an equation of motion have a mass.  Under a constraint it may be singular, because components
+    that the constraint determines need no mass.
     """
-    at = _at(transform, t, x)
-    v, (found, masses) = guess, at(guess)
-    undefined = ~(np.isfinite(found).all(axis=0) & np.isfinite(masses).all(axis=(1, 2)))
-    if undefined.any():
-        v = np.where(undefined, 0.0, guess)
-        found, masses = at(v)
-    last, nothing = np.full(x.shape[1], np.inf), 4 * EPS * np.max(np.abs(v), axis=0)  # what rounding leaves of a guess
-    for _ in range(ITERATIONS):
-        inverse = _inverse(masses)
-        whole = np.einsum("kij,jk->ik", inverse, momentum - found)
-        length, size = np.max(np.abs(whole), axis=0), np.max(np.abs(v), axis=0)
-        at_rest = (length <= nothing) & (size <= nothing)
-        least = 4 * EPS * np.maximum(size, np.max(np.einsum("kij,jk->ik", np.abs(inverse), np.abs(momentum)), axis=0))
-        settled = at_rest | (length <= least) | ((length <= FOUND * size) & (length >= last / 2))
-        if (settled | np.isnan(length)).all():
-            break
-        damping = np.where(settled, 0.0, 1.0)
-        while True:
-            trial = v + damping * whole
-            found, masses = at(trial)
-            after = np.max(np.abs(np.einsum("kij,jk->ik", inverse, momentum - found)), axis=0)
-            refused = ~(after <= (1 - damping / 4) * length) & (damping > EPS) & (length > FOUND * size)
-            if not refused.any():
-                break
-            damping[refused] /= 2
-        v, last = trial, length
-    # a component near zero is as good as what settles the others, and rest as good as the guess
-    rounded = 4 * np.abs(v) + np.where(at_rest, 4 * nothing, least) / FOUND
-    sizes = np.abs(momentum) + np.abs(found) + np.einsum("kij,jk->ik", np.abs(_defined(masses)), rounded)
-    sizes += EPS / FOUND * np.max(np.abs(momentum), axis=1, keepdims=True)  # where a mass vanishes, p is only rounding
-    missed = (np.abs(momentum - found) > FOUND * sizes).any(axis=0)  # where ∂²L/∂v² vanishes, there are no steps
-    return np.where(settled & ~missed, v, np.nan)
-
-
-def _inverse(masses: np.ndarray) -> np.ndarray:
-    """Pseudo-inverses of mass matrices (K, d, d)."""
-    scaled, scales = scaled_masses(_defined(masses))
-    return np.linalg.pinv(scaled, rcond=DEGENERATE, hermitian=True) / scales
-
-
-def _defined(masses: np.ndarray) -> np.ndarray:
-    """Mass matrices (K, d, d), zero where one is not finite."""
-    return np.where(np.isfinite(masses).all(axis=(1, 2))[:, None, None], masses, 0.0)
+    count, (first, last) = getattr(problem, "mechanical", problem.dimension), problem.t_span
+    if problem.constraint is not None or not count:
+        return
+    start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))
+    rise, size, given = end - start, component_sizes(np.array([start, end]).T), [problem.parameters or ()]
+    bend, transform = size * np.cos(1.0 + np.arange(len(start))), legendre_transform(problem.lagrangian)
+    for share in GENERIC:
+        t, x = first + share * (last - first), start + share * (rise + bend)
+        v = (rise + (1 - share) * bend) / (last - first)
+        try:
+            mass = transform(t, x, v, *given[: transform.n_in() - 3])[1].full()[:count, :count]
+        except RuntimeError:  # a Function within L may fail
+            return
+        if not (np.isfinite(mass).all() and degenerate(mass)):
+            return
+    yield _singular(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {v}")

@@ -8,9 +8,7 @@ from typing import Any, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import check_method
 from casadi_galerkin.calculus.numbers import components, finite, numbers, time_span, times_inside
 
@@ -53,11 +51,6 @@ Stated = TypeVar("Stated", bound=Problem)
 def section_times(problem: Problem) -> list[float]:
     """Times of both ends, with those of the breakpoints between them."""
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
-
-
-def mesh_for(problem: Problem, intervals: int | None, mesh: ArrayLike | None) -> np.ndarray:
-    """Joints over the time span of a problem, with its breakpoints among them; see `mesh_of`."""
-    return mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
 
 
 def map_times(times: np.ndarray, own: Sequence[float] | np.ndarray, other: Sequence[float] | np.ndarray) -> np.ndarray:

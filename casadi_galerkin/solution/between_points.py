@@ -15,12 +15,12 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extrema, sampling_parts
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
+from casadi_galerkin.functional.constrained_motion import equations_of_motion
 from casadi_galerkin.functional.interval import SlopeBasis
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.hamiltonian import Steps, integrand, jumps_in_time, may_step, moving_phases, unseen_steps
 from casadi_galerkin.solution.trajectory import Trajectory

@@ -13,12 +13,12 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
 from casadi_galerkin.calculus.numbers import told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.functional.constrained_motion import off_constraint, tangent_momenta
+from casadi_galerkin.functional.velocities import velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_momenta
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
-from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -32,7 +32,6 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     Where a path meets a singularity, a step may still have a solution that lies beyond it, because the discrete
     equations do not see what lies between quadrature points.  The energy then jumps.
     """
-    check_types(problem, method, InitialProblem)
     began = time.perf_counter()
     p, v = start_state(problem)
     action = with_parameters(problem.lagrangian, problem.parameters)(problem.t_span[0], problem.position, v)

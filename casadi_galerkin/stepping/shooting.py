@@ -19,18 +19,19 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
+from casadi_galerkin.functional.constrained_motion import tangent_momenta
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
-from casadi_galerkin.problems.orbit_phase import turned_back
-from casadi_galerkin.problems.problem import check_types, mesh_for
+from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
+from casadi_galerkin.solution.orbit_phase import turned_back
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
@@ -101,7 +102,7 @@ def shoot(
     check_types(problem, method, BoundaryProblem)
     check_start(problem, guess)
     began = time.perf_counter()
-    shooting = Shooting(problem, method, mesh_for(problem, intervals, mesh), guess)
+    shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), guess)
     equations = time.perf_counter() - began - shooting.stepper.build_seconds
     shot, iterations = _newton(shooting, *_guess(problem, guess))
     build = equations + shooting.stepper.build_seconds

@@ -18,9 +18,9 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.orbit_phase import has_phase, phase_plane
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import guess_values
+from casadi_galerkin.solution.orbit_phase import phase_plane
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.end_equations import end_equations
 from casadi_galerkin.stepping.initial_value import path_of, verified
@@ -92,7 +92,7 @@ class Shooting:
     ) -> None:
         self.mesh = mesh
         self.plane = None
-        if has_phase(problem):
+        if problem.free_phase:
             calculus = DiscreteCalculus(method, mesh)
             self.plane = phase_plane(calculus.emb(guess_values(guess, calculus, problem.dimension)))
         self.stepper = Stepper(problem, method, problem.energy is not None)

@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 
 from casadi_galerkin._solve import transcribe
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted, flag
 from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_kind, check_types, map_times, mesh_for, section_times
+from casadi_galerkin.problems.problem import check_kind, check_types, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
@@ -170,7 +170,7 @@ def _ways(
         raise ValueError("give at least one method and one number of intervals, or a tolerance, got neither")
     for method, count in grid:
         check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
-        mesh_for(problem, count, None)
+        mesh_of(problem.t_span, count, None, problem.breakpoints)
     if tolerances and isinstance(problem, InitialProblem):
         raise ValueError(f"an initial problem takes no tolerances: it is solved step by step, got {tolerances}")
     if flag("shooting", shooting) and not isinstance(problem, BoundaryProblem):
@@ -189,7 +189,7 @@ def _check_guess(problem: AnyProblem, guess: Guess, grid: Sequence[tuple[Galerki
     if shooting and not isinstance(guess, Trajectory):
         raise TypeError(f"shooting begins at the start of a Trajectory: give one as the guess, got {guess!r}")
     for method, count in grid:
-        calculus = DiscreteCalculus(method, mesh_for(problem, count, None))
+        calculus = DiscreteCalculus(method, mesh_of(problem.t_span, count, None, problem.breakpoints))
         guess_values(guess, calculus, problem.dimension)
 
 

@@ -190,14 +190,12 @@ DEGENERATE = {
 }
 
 
-@pytest.mark.parametrize("discretization", [{"method": cg.Galerkin(4), "intervals": 8}, {"tol": 1e-6}], ids=str)
-@pytest.mark.parametrize("end", [[1.0, 0.2], *slow([1.0, 1.0], [1.0, None])])
+@pytest.mark.parametrize("end", [[1.0, 0.2], [1.0, 1.0], [1.0, None]])
 @pytest.mark.parametrize("name", DEGENERATE)
-def test_a_degenerate_lagrangian_is_refused_before_anything_is_solved(name, end, discretization):
+def test_a_degenerate_lagrangian_is_refused_when_it_is_stated(name, end):
     """It has no path between most ends; a zigzag that followed the mesh was returned, of Morse index 26, 35, 71."""
-    problem = cg.BoundaryProblem(DEGENERATE[name], (0, 1), [0.0, 0.0], end)
     with pytest.raises(ValueError, match=r"degenerate: its mass matrix .* is singular wherever it was tried"):
-        cg.solve(problem, **discretization)
+        cg.BoundaryProblem(DEGENERATE[name], (0, 1), [0.0, 0.0], end)
 
 
 def test_a_mass_that_vanishes_at_single_points_is_no_degenerate_lagrangian():

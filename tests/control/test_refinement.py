@@ -309,7 +309,7 @@ def test_a_cost_that_is_zero_is_told_at_once(name, tol):
 
 def test_costs_of_two_different_paths_tell_nothing(monkeypatch):
     """A mass goes from pole to pole of its circle between two nodes, where nothing holds it, and at no cost."""
-    monkeypatch.setattr("casadi_galerkin.problems.constrained_motion.LARGEST_VIOLATION", 1.0)  # where that is refused
+    monkeypatch.setattr("casadi_galerkin.functional.constrained_motion.LARGEST_VIOLATION", 1.0)  # where that is refused
     with pytest.raises(cg.LimitReached, match="1 level was not enough") as caught:
         cg.solve(cartesian_pendulum(), cost_tol=1e-3, limits=cg.Limits(levels=1))
     assert caught.value.path.cost_error > 1

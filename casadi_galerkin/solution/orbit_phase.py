@@ -9,19 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 
 AT_REST = 1e-3  # speed at the start over the largest one below which the start does not determine the phase
 
 
-def has_phase(problem: BoundaryProblem) -> bool:
-    """Whether the phase of a path is free, so that a plane through the guess has to fix it."""
-    return problem.energy is not None and problem.periodic and not is_given(problem.start)
-
-
 def refuse_free_phase(name: str, problem: BoundaryProblem) -> None:
     """Refuse a problem with a free phase where there is no guess that fixes it; `name` is what refuses it."""
-    if has_phase(problem):
+    if problem.free_phase:
         raise ValueError(
             f"{name} takes no periodic problem of given energy: its paths have a phase that only a guess fixes; give "
             "one component of start"

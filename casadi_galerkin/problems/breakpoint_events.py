@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any, TypeAlias, TypeGuard, TypeVar
+from typing import Any, TypeAlias, TypeGuard
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted, finite, number
-from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, limited_values, within_rounding
+from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, within_rounding
 from casadi_galerkin.problems.callables import Traceable, trace
+from casadi_galerkin.problems.statements import Made, Reader, lengths, limited
 
 Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
 Waypoint: TypeAlias = tuple[float, Positions | tuple[Traceable, Limit, Limit]]
 Pairs: TypeAlias = tuple[tuple[float, float], ...]
-Checked = TypeVar("Checked")
 
 
 @dataclass(frozen=True)
@@ -47,33 +47,33 @@ def is_limited(place: Any) -> TypeGuard[Limited]:
     return callable(place) or (isinstance(place, (tuple, list)) and len(place) > 0 and callable(place[0]))
 
 
-def waypoints_of(
-    given: Sequence[Waypoint], sizes: Mapping[str, int], within: Bounds
-) -> tuple[tuple[float, Pairs | Limited], ...]:
-    """Check waypoints: each states bounds (lo, hi) of all positions, which must meet `within`, or (g, lo, hi)."""
+def timed(kind: str, checked: Callable[[Any, Made], Any]) -> Reader:
+    """Read pairs of a time and what is stated there; no two may have the same time."""
 
-    def checked(place: Any) -> Pairs | Limited:
-        return limited_values("waypoint", place, sizes) if is_limited(place) else _positions(place, within)
+    def reader(name: str, given: Any, made: Made) -> tuple[tuple[float, Any], ...]:
+        if not isinstance(given, (tuple, list, np.ndarray)):
+            raise TypeError(f"{name} must be pairs {kind}, got {given!r}")
+        found: dict[float, Any] = {}
+        for pair in given:
+            if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+                raise TypeError(f"{name} must be pairs {kind}, got {pair!r}")
+            t = finite(f"the time of a {name[:-1]}", pair[0])
+            if t in found:
+                raise ValueError(f"{name} must have different times, got two at t = {t:g}")
+            try:
+                found[t] = checked(pair[1], made)
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"at t = {t:g}: {error}") from error
+        return tuple(found.items())
 
-    return _timed("waypoints", "(t, positions) or (t, (g, lo, hi))", given, checked)
+    return reader
 
 
-def _timed(name: str, kind: str, given: Any, checked: Callable[[Any], Checked]) -> tuple[tuple[float, Checked], ...]:
-    """Check pairs of a time and what is stated there; no two may have the same time."""
-    if not isinstance(given, (tuple, list, np.ndarray)):
-        raise TypeError(f"{name} must be pairs {kind}, got {given!r}")
-    found: dict[float, Checked] = {}
-    for pair in given:
-        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-            raise TypeError(f"{name} must be pairs {kind}, got {pair!r}")
-        t = finite(f"the time of a {name[:-1]}", pair[0])
-        if t in found:
-            raise ValueError(f"{name} must have different times, got two at t = {t:g}")
-        try:
-            found[t] = checked(pair[1])
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"at t = {t:g}: {error}") from error
-    return tuple(found.items())
+def _waypoint(place: Any, made: Made) -> Pairs | Limited:
+    """Bounds (lo, hi) of all positions, which must meet those of the problem, or (g, lo, hi)."""
+    if is_limited(place):
+        return limited("x v")("waypoint", place, made)
+    return _positions(place, made["position_bounds"])
 
 
 def _positions(positions: Any, within: Bounds) -> Pairs:
@@ -96,17 +96,9 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
     return tuple((least, most) for least, most in sides)
 
 
-def jumps_of(
-    given: Sequence[tuple[float, Traceable]], sizes: Mapping[str, int], mechanical: int
-) -> tuple[tuple[float, ca.Function], ...]:
-    """Check jumps, and trace each into a Function (x, v[, p]) -> x after, v after.
-
-    v after is zero where x follows a rate.
-    """
-    return _timed("jumps", "(t, law)", given, lambda law: _law(law, sizes, mechanical))
-
-
-def _law(law: Any, sizes: Mapping[str, int], mechanical: int) -> ca.Function:
+def _law(law: Any, made: Made) -> ca.Function:
+    """A jump as a Function (x, v[, p]) -> x after, v after; v after is zero where x follows a rate."""
+    sizes = lengths("x v", made)
     if not callable(law):
         raise TypeError(f"jump must be a callable of ({', '.join(sizes)}), got {law!r}")
 
@@ -122,6 +114,9 @@ def _law(law: Any, sizes: Mapping[str, int], mechanical: int) -> ca.Function:
 
     symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
     position, velocity = (half(k)(*symbols) for k in (0, 1))
-    for i in range(mechanical, sizes["x"]):
-        velocity[i] = 0.0
+    velocity[sizes["x"] - made["rates"].numel_out(0) :] = 0.0
     return ca.Function("jump", symbols, [position, velocity], list(sizes), ["x_after", "v_after"])
+
+
+waypoints = timed("(t, positions) or (t, (g, lo, hi))", _waypoint)
+jumps = timed("(t, law)", _law)

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
-from casadi_galerkin.problems.legendre_transform import velocities as velocities_of_momenta
+from casadi_galerkin.functional.velocities import convex
+from casadi_galerkin.functional.velocities import velocities as velocities_of_momenta
+from casadi_galerkin.problems.legendre_transform import legendre_transform
 
 
 def test_velocities_are_found_where_the_slopes_of_the_path_are_beyond_the_lagrangians_domain():

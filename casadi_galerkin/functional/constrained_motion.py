@@ -1,4 +1,4 @@
-"""Motion under holonomic constraints g(t, x) = 0 at one instant: tangent momenta, accelerations and multipliers.
+"""Motion at one instant under holonomic constraints g(t, x) = 0 and controls: tangents, accelerations, multipliers.
 
 With G = ∂g/∂x, the velocity of a path on the constraint is tangent, G v + ∂g/∂t = 0, and the impulse of the constraint
 changes a momentum by Gᵀμ only.  Accelerations and multipliers λ follow from one linear system,
@@ -10,22 +10,18 @@ with p = ∂L/∂v and M = ∂p/∂v.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lobatto_points
-from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
-from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
+from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
+from casadi_galerkin.functional.linear_equations import solve_scaled
 from casadi_galerkin.problems.callables import depends_on_time, with_parameters
-from casadi_galerkin.problems.cancellation import sizes_of_terms
-from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
-from casadi_galerkin.problems.linear_equations import solve_scaled
+from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import Problem
 
 ITERATIONS = 20
@@ -33,8 +29,6 @@ ITERATIONS = 20
 # chord of an arc has 0.09; jumps through the center of a circle were measured at 0.16 to 0.25.
 LARGEST_VIOLATION = 0.1
 STILL = 1e-10  # least motion of a component that a violation is compared with, relative to its size
-# accepted violation of a constraint by a given position or velocity, relative to the terms of g
-CONSTRAINT_TOLERANCE = 1e-12
 
 
 @lru_cache(8)
@@ -181,61 +175,6 @@ def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.nda
     return np.sum(multipliers(motion, t, x, v) * _at(motion, t, x, v)[3], axis=0)
 
 
-def check_constraint(problem: Problem, known: Mapping[str, np.ndarray] | None = None) -> None:
-    """Refuse too many constraints, and given positions that violate them or where they are redundant.
-
-    Of a position that is given in part, those that depend on given components alone are looked at.  `known` says by
-    name which constraints depend on nothing else that is free there, (k,); by default all do.
-    """
-    if problem.constraint is None:
-        return
-    function = with_parameters(problem.constraint, problem.parameters)
-    d, k = function.size1_in(1), function.size1_out(0)
-    if k >= d:
-        raise ValueError(
-            f"a constraint must leave the path free to move: {counted(k, 'value')} for {counted(d, 'component')}"
-        )
-    constant = sorted(set(range(k)).difference(problem.constraint.sparsity_jac(1, 0).row()))
-    if constant:
-        raise ValueError(
-            f"the constraint must depend on x, but constraint[{constant[0]}] does not: no path can be held to it"
-        )
-    first, last = problem.t_span
-    for name, when in (("start", first), ("position", first), ("end", last)):
-        where: Any = getattr(problem, name, None)
-        if where is None:
-            continue
-        place = np.array(where, dtype=float)  # NaN for None
-        free = rows_that_depend(function, POSITIONS, np.isnan(place))
-        conditions, unknowns = (int(np.count_nonzero(some)) for some in (free, np.isnan(place)))
-        if conditions > unknowns:
-            raise ValueError(
-                f"{name} = {list(where)} leaves {counted(unknowns, 'component')} free, on which "
-                f"{counted(conditions, 'value')} of the constraint depend: give the whole position, or less of it"
-            )
-        looked_at = ~free if known is None else known[name] & ~free
-        _check_place(function, name, when, where, looked_at)
-
-
-def _check_place(function: ca.Function, name: str, when: float, where: Sequence[Any], looked_at: np.ndarray) -> None:
-    """Refuse a given position that violates one of the constraints looked at, or where all are but are redundant."""
-    symbols, place = function.sx_in(), [0.0 if value is None else value for value in where]
-    values, missed, slopes = (np.array(a) for a in relative_residuals(function(*symbols), symbols)(when, place))
-    if not np.all(missed[looked_at] <= 1):
-        i = int(np.argmax(np.where(looked_at, missed[:, 0], -1.0)))
-        raise ValueError(
-            f"the constraint must be zero at the given {name}, x = {list(where)}: constraint[{i}] is "
-            f"{values[i, 0]:g}, and only rounding, up to {abs(values[i, 0]) / missed[i, 0]:.0e}, is accepted"
-        )
-    slope = slopes[:, 1:]
-    rows = or_one(np.linalg.norm(slope, axis=1))
-    if looked_at.all() and np.linalg.matrix_rank(slope / rows[:, None], tol=1e3 * EPS) < len(looked_at):
-        raise ValueError(
-            f"the constraints are redundant at the given {name}, x = {list(where)}: their gradients, the rows of "
-            f"{slope.tolist()}, are linearly dependent"
-        )
-
-
 def check_points(constraint: ca.Function | None, method: Galerkin) -> None:
     """Refuse control points that lose the order of a constrained path.
 
@@ -250,48 +189,19 @@ def check_points(constraint: ca.Function | None, method: Galerkin) -> None:
         )
 
 
-def relative_residuals(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = ()) -> ca.Function:
-    """(symbols, further) -> residuals (k,), these over what is accepted as rounding, and derivatives (k, n).
+def equations_of_motion(problem: ControlProblem) -> ca.Function:
+    """(t, x, v, u, multipliers of the constraint) -> what the equations of motion are of, and its time derivative.
 
-    The derivatives are those by the symbols.  Accepted are `CONSTRAINT_TOLERANCE` of every symbol times the derivative
-    by it, and eps of all terms.  The time is among the symbols, so that its rounding counts, too.
+    For a mechanical component these are ∂L/∂v, and ∂L/∂x + F with the constraint's force; for one that follows a rate,
+    x and that rate; (d,) each.
     """
-    slopes, inputs = ca.densify(ca.jacobian(value, ca.vertcat(*symbols))), [*symbols, *further]
-    accepted = CONSTRAINT_TOLERANCE * ca.mtimes(ca.fabs(slopes), ca.fabs(ca.vertcat(*symbols)))
-    accepted += EPS * sizes_of_terms(value, inputs) + TINY
-    return ca.Function("over_terms", inputs, [value, ca.fabs(value) / accepted, slopes])
-
-
-def check_tangent(
-    problem: Problem,
-    name: str,
-    t: float,
-    x: tuple[float, ...],
-    v: tuple[float, ...],
-    known: np.ndarray | None = None,
-) -> None:
-    """Refuse a velocity of this name, given at a position, that leaves the constraint: G v + ∂g/∂t must be zero.
-
-    `known` says which constraints depend on nothing free there, (k,); by default all do.
-
-    The accepted rounding of a velocity is relative to its own size, or to that of the position over the duration if it
-    is larger: a velocity so small moves the path by no more than the rounding of its position.
-    """
-    if problem.constraint is None:
-        return
-    function = with_parameters(problem.constraint, problem.parameters)
-    time, place = function.sx_in()
-    velocity, value = ca.SX.sym("v", place.numel()), function(time, place)
-    rate = ca.jtimes(value, place, velocity) + ca.jacobian(value, time)
-    rates, _, slopes = (np.array(a) for a in relative_residuals(rate, [time, place, velocity])(t, x, v))
-    lengths = np.abs(x)
-    sizes = np.concatenate(([abs(t)], lengths, np.fmax(np.abs(v), lengths / np.ptp(problem.t_span))))
-    excess = np.abs(rates[:, 0]) - CONSTRAINT_TOLERANCE * np.abs(slopes) @ sizes
-    if known is not None:
-        excess = np.where(known, excess, 0.0)
-    if np.any(excess > 0):
-        i = int(np.argmax(excess))
-        raise ValueError(
-            f"{name} must be tangent to the constraint at x = {list(x)}, got {list(v)}: the rate of constraint[{i}] is "
-            f"{rates[i, 0]:g}"
-        )
+    functions = problem.lagrangian, problem.force, problem.rates, problem.constraint
+    lagrangian, force, rates, constraint = (with_parameters(f, problem.parameters) for f in functions)
+    parts, u = [0, problem.mechanical, problem.dimension], ca.SX.sym("u", problem.controls)
+    t, x, v = lagrangian.sx_in()
+    work, momentum = (ca.vertsplit(ca.gradient(lagrangian(t, x, v), by), parts)[0] for by in (x, v))
+    held = ca.SX(0, 1) if constraint is None else constraint(t, x)
+    push = ca.SX.sym("push", held.numel())
+    changes = ca.vertcat(work + force(t, x, v, u), rates(t, x, v, u)) + ca.jtimes(held, x, push, True)
+    outputs = map(ca.densify, (ca.vertcat(momentum, ca.vertsplit(x, parts)[1]), changes))
+    return ca.Function("motion", [t, x, v, u, push], [*outputs])

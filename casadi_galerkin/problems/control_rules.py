@@ -1,0 +1,244 @@
+"""Rules for what a control problem states: nothing arbitrary, contradictory, or fatal to a solver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.roundoff import EPS, or_one
+from casadi_galerkin.problems.bounds import FEASIBLE, Limited, within_rounding
+from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
+from casadi_galerkin.problems.dependence import (
+    CONTROLS,
+    POSITIONS,
+    VELOCITIES,
+    entries_of,
+    entries_within,
+    pattern,
+    rows_that_depend,
+)
+from casadi_galerkin.problems.problem import ENDS, section_times
+
+
+def _beside_a_constraint(problem: Any) -> Iterator[str]:
+    """What has no place beside a holonomic constraint."""
+    if problem.constraint is not None and problem.mechanical < problem.dimension:
+        yield "a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)"
+    if problem.constraint is not None and problem.crossings:
+        yield "a problem with a constraint takes no jumps, and no functions as waypoints"
+
+
+def _of_velocities(problem: Any) -> list[tuple[str, ca.Function, tuple[int, ...]]]:
+    """What must not depend on velocities that are rates: by name, and which arguments are velocities."""
+    stated = [
+        ("force", problem.force, (2,)),
+        ("rates", problem.rates, (2,)),
+        ("terminal_cost", problem.terminal_cost, (2,)),
+        ("end_conditions", problem.end_conditions[0], (1, 3)),
+        *((f"the {name} at t = {c.time:g}", f, (1,)) for c in problem.crossings for name, f in c.functions),
+    ]
+    return [(name, function, velocities) for name, function, velocities in stated if function is not None]
+
+
+def _velocities_of_rates(problem: Any) -> Iterator[str]:
+    """The velocity of a component that follows a rate is that rate: nothing else states it, or depends on it."""
+    rated = range(problem.mechanical, problem.dimension)
+    for name, function, velocities in _of_velocities(problem):
+        for i in sorted({i for k in velocities for i in entries_of(function, k) if i in rated}):
+            yield f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead"
+    for name in ("start_velocity", "end_velocity"):
+        for i in rated:
+            if getattr(problem, name)[i] is not None:
+                yield f"x[{i}] follows a rate: {name}[{i}] must be None, got {getattr(problem, name)[i]}"
+
+
+def _unused(problem: Any) -> Iterator[str]:
+    """A control or a free parameter that nothing depends on: its value would be arbitrary."""
+    along = problem.along
+    for i in sorted(set(range(problem.controls)).difference(*(entries_of(f, CONTROLS) for f in along))):
+        yield f"the control u[{i}] occurs in no force, cost or constraint"
+    others = [function for _, function, _ in _of_velocities(problem)]
+    users = [f for f in (*along, *others, problem.lagrangian, problem.constraint) if f is not None]
+    for i in np.flatnonzero(np.less(*(problem.parameter_bounds or ((), ())))).tolist():
+        if not any(i in entries_of(f, f.n_in() - 1) for f in users):
+            yield f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint"
+
+
+def _impulses(problem: Any) -> Iterator[str]:
+    """A control that nothing limits, so that it would act as an impulse.
+
+    It has no bounds, no cost and no path constraint depends on it, and forces and rates are linear in it.  What it
+    drives then changes at once and at no cost.  This is no optimum where that is given at an end, or where nothing else
+    depends on it, as in least time; where all paths cost the same, any path is one.  What a path constraint with equal
+    bounds determines is not known; and held controls are no impulses.
+    """
+    users, rated = (
+        [problem.running_cost, problem.path_constraint[0]],
+        np.arange(problem.dimension) >= problem.mechanical,
+    )
+    costs = any(entries_of(problem.running_cost, k) for k in (POSITIONS, VELOCITIES))
+    to_gain = costs or problem.terminal_cost is not None or problem.duration_bounds is not None
+    if problem.hold or not to_gain or np.equal(*problem.path_constraint[1:]).any():
+        return
+    by_x, by_v, by_u = (
+        np.any(np.vstack([pattern(user, k) for user in users]), axis=0) for k in (POSITIONS, VELOCITIES, CONTROLS)
+    )
+    drives = np.vstack([pattern(rule, CONTROLS) for rule in (problem.force, problem.rates)])
+    limited = by_u | np.isfinite(problem.control_bounds).any(axis=0) | (drives & (rated & by_v)[:, None]).any(axis=0)
+    counts = np.where(rated, by_x | np.isfinite(problem.position_bounds).any(axis=0), by_v)
+    velocities = np.array([problem.start_velocity, problem.end_velocity], dtype=float)
+    given = np.isfinite(np.where(rated, problem.given_positions, velocities)).any(axis=0)
+    symbols = problem.force.sx_in()
+    moves = ca.jacobian(ca.vertcat(problem.force(*symbols), problem.rates(*symbols)), symbols[CONTROLS])
+    for i in np.flatnonzero(~limited).tolist():
+        impulsive = np.any(drives[:, i] & given) or not np.any(drives[:, i] & counts)
+        if impulsive and not ca.depends_on(moves[:, i], symbols[CONTROLS][i]):
+            yield (
+                f"nothing limits the control u[{i}], so that it would act as an impulse: neither running_cost nor "
+                "path_constraint depends on it, and it has no bounds. Give control_bounds, or a running_cost that "
+                f"depends on it, such as 1e-3 * u[{i}] ** 2"
+            )
+
+
+def _absolute_values(problem: Any) -> Iterator[str]:
+    """|u| in the cost where u may change its sign, since a solver that takes derivatives stalls there."""
+    low, high = problem.control_bounds
+    for i in sorted(entries_within(problem.running_cost, CONTROLS, (ca.OP_FABS,))):
+        if low[i] < 0 < high[i]:
+            yield (
+                f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
+                "by a - b with two controls a, b >= 0 (control_bounds), and its absolute value by a + b; for that of "
+                "another expression e, add e - a + b = 0 as a path_constraint"
+            )
+
+
+def _bounds_at_ends(problem: Any) -> Iterator[str]:
+    """A given end lies outside its bounds, or on one with a velocity that leaves it."""
+    (low, high), ends = problem.position_bounds, problem.given_positions
+    velocities = np.array([problem.start_velocity, problem.end_velocity], dtype=float) * [[1], [-1]]
+    beside = within_rounding(ends + np.ptp(problem.t_span) * velocities, low, high, ends[::-1])
+    for name, values, inside in zip(ENDS, ends.tolist(), beside.tolist(), strict=True):
+        for i, (value, other) in enumerate(zip(values, inside, strict=True)):
+            if value < low[i] or value > high[i]:
+                yield f"{name}[{i}] = {value} lies outside its position_bounds [{low[i]}, {high[i]}]"
+            if (value == low[i] and other < low[i]) or (value == high[i] and other > high[i]):
+                velocity = getattr(problem, f"{name}_velocity")[i]
+                yield (
+                    f"{name}[{i}] = {value} lies on its position_bounds [{low[i]}, {high[i]}], and "
+                    f"{name}_velocity[{i}] = {velocity} puts the path outside beside it"
+                )
+
+
+def _path_constraint_at_ends(problem: Any) -> Iterator[str]:
+    """A given state at an end violates a path constraint without controls."""
+    for k, name in enumerate(ENDS):
+        when = np.nan if k and problem.duration_bounds is not None else problem.t_span[k]
+        given = when, getattr(problem, name), getattr(problem, f"{name}_velocity"), (np.nan,) * problem.controls
+        for i, value, words in _outside(problem, problem.path_constraint, given):
+            yield f"path constraint {i} is {value} at the {name} whatever the controls, {words}"
+
+
+def _ends(problem: Any) -> tuple[Sequence[Any], ...]:
+    return problem.start, problem.start_velocity, problem.end, problem.end_velocity
+
+
+def _conditions_on_given_ends(problem: Any) -> Iterator[str]:
+    """Given ends violate an end condition."""
+    for i, value, words in _outside(problem, problem.end_conditions, _ends(problem)):
+        yield f"end condition {i} is {value} with the ends given, {words}"
+
+
+def _outside(problem: Any, limited: Limited, given: Sequence[Any]) -> Iterator[tuple[int, float, str]]:
+    """Values of a function outside their bounds where they depend on nothing free, which is NaN or None."""
+    g, low, high = limited
+    if not low:  # its sparsity is not looked up in every repeated solve
+        return
+    arrays = [np.array(values, dtype=float).ravel() for values in given]
+    if problem.parameters is not None:
+        free = problem.parameter_bounds is not None and np.less(*problem.parameter_bounds)
+        arrays.append(np.where(free, np.nan, problem.parameters))
+    free_rows = np.any([rows_that_depend(g, k, np.isnan(values)) for k, values in enumerate(arrays)], axis=0)
+    values = np.array(g(*map(np.nan_to_num, arrays))).ravel()
+    sizes = np.abs([low, high])
+    accepted = FEASIBLE * or_one(np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=0))
+    for i in np.flatnonzero(~free_rows & np.isfinite(values)).tolist():  # a ratio may be 0/0 at an end
+        if not low[i] - accepted[i] <= values[i] <= high[i] + accepted[i]:
+            yield i, values[i], f"outside its bounds [{low[i]}, {high[i]}]"
+
+
+def _conditions_on_free_ends(problem: Any) -> Iterator[str]:
+    """No values of the free ends, NaN of (x_0, v_0, x_N, v_N), meet all end conditions.
+
+    Equations are counted.  What is linear in a single free value is compared with the other limits of this value.
+    """
+    (g, low, high), d, ends = problem.end_conditions, problem.dimension, np.array(_ends(problem), dtype=float).ravel()
+    if not low:
+        return
+    uses = np.hstack([pattern(g, k) for k in range(g.n_in())])
+    free = np.append(np.isnan(ends), np.full(uses.shape[1] - len(ends), problem.parameter_bounds is not None))
+    uses &= free
+    equal = np.equal(low, high) & uses.any(axis=1)
+    count, rank = int(np.count_nonzero(equal)), ca.sprank(ca.sparsify(ca.DM(uses[equal].astype(float))))
+    if rank < count:
+        yield (
+            f"end_conditions with equal bounds are {count}, but only {rank} can be met by the "
+            f"{counted(int(np.count_nonzero(free)), 'value')} free at the ends: leave out some, or free more with None"
+        )
+    symbols, p = ca.SX.sym("ends", len(ends)), [] if problem.parameters is None else [problem.parameters]
+    values = g(*ca.vertsplit(symbols, d), *p)
+    slopes = ca.jacobian(values, symbols)
+    offsets, steps = map(np.array, ca.Function("at", [symbols], [values, slopes])(np.nan_to_num(ends)))
+    limits = np.full((2, 4, d), [[[-np.inf]], [[np.inf]]])
+    limits[:, ::2] = np.array(problem.position_bounds)[:, None]
+    least, most = limits.reshape(2, -1)
+    for i in np.flatnonzero(uses.sum(axis=1) == 1).tolist():
+        k = int(np.argmax(uses[i]))
+        if k >= len(ends) or ca.depends_on(slopes[i, k], symbols[k]):
+            continue
+        sides = sorted((side - offsets[i, 0]) / steps[i, k] for side in (low[i], high[i]))
+        least[k], most[k] = max(least[k], sides[0]), min(most[k], sides[1])
+        if least[k] - most[k] > FEASIBLE * max(abs(least[k]), abs(most[k])):
+            yield (
+                f"end condition {i} contradicts the position_bounds or another end condition: together they ask for "
+                f"{('x0', 'v0', 'x1', 'v1')[k // d]}[{k % d}] >= {least[k]:g} and <= {most[k]:g}"
+            )
+
+
+def _guesses(problem: Any) -> Iterator[str]:
+    """A guess of a free duration or parameter lies outside its bounds."""
+    times, rounded = (
+        section_times(problem),
+        2 * EPS * max(map(abs, problem.t_span)),
+    )  # of t_0 + T, and of the difference
+    for k, (low, high) in enumerate(zip(*(problem.duration_bounds or ((), ())), strict=True)):
+        lasts = times[k + 1] - times[k]
+        if not low - rounded <= lasts <= high + rounded:
+            what = "t_span" if len(times) == 2 else f"the phase from {times[k]} to {times[k + 1]}"
+            yield f"duration_bounds ({low}, {high}) must hold the guess, {what} lasts {lasts}"
+    sides = problem.parameter_bounds or ((), ())
+    for i, (low, value, high) in enumerate(zip(sides[0], problem.parameters or (), sides[1], strict=False)):
+        if not low <= value <= high:
+            yield f"parameters[{i}] = {value} lies outside its bounds [{low}, {high}]"
+
+
+RULES = (
+    _beside_a_constraint,
+    _velocities_of_rates,
+    _unused,
+    _impulses,
+    _absolute_values,
+    impossible_constraint,
+    _conditions_on_free_ends,
+)
+RULES_OF_VALUES = (
+    _bounds_at_ends,
+    constraint_at_ends,
+    leaving_velocity,
+    _path_constraint_at_ends,
+    _conditions_on_given_ends,
+    _guesses,
+)

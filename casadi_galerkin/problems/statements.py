@@ -1,0 +1,127 @@
+"""How a problem is read: a table with a reader for each of its statements, and rules for all of them together.
+
+A reader takes the name and the value of a statement, and what was read before it; it returns what the problem keeps, or
+raises an error that names what came and what was expected.  A rule looks at the problem that results, and yields what
+is wrong with it, in words.  A new statement is an entry of a table, and a rule where it may contradict others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeAlias
+
+import casadi as ca
+
+from casadi_galerkin.calculus.numbers import components, finite, flag, numbers, time_span, times_inside
+from casadi_galerkin.problems.bounds import bounds, bounds_with_room
+from casadi_galerkin.problems.callables import Rows, arguments, is_of_nothing, of_nothing, trace, trace_lagrangian
+
+Made: TypeAlias = dict[str, Any]  # what was read, by name
+Reader: TypeAlias = Callable[[str, Any, Made], Any]
+Rule: TypeAlias = Callable[[Any], Iterable[str]]
+
+
+def read(table: Mapping[str, Reader], given: Mapping[str, Any]) -> Made:
+    """Read what is given in the order of a table."""
+    made: Made = {}
+    for name, reader in table.items():
+        made[name] = reader(name, given[name], made)
+    return made
+
+
+def check(problem: object, rules: Iterable[Rule]) -> None:
+    """Raise a ValueError with the first words of the rules."""
+    for rule in rules:
+        for words in rule(problem):
+            raise ValueError(words)
+
+
+def dimension(made: Made) -> int:
+    """Number d of coordinates, which the first position read tells."""
+    return len(made["position"] if "position" in made else made["start"])
+
+
+def optional(reader: Reader) -> Reader:
+    """Read what may be left out, which is None."""
+    return lambda name, value, made: None if value is None else reader(name, value, made)
+
+
+def vector(name: str, value: Any, made: Made) -> tuple[float | None, ...]:
+    """D numbers, or None where nothing is given; the first one tells d."""
+    return components(name, value, dimension(made) if made else None)
+
+
+def vector_or_nothing(name: str, value: Any, made: Made) -> tuple[float | None, ...]:
+    """The same; None as a whole is None d times."""
+    return (None,) * dimension(made) if value is None else vector(name, value, made)
+
+
+def whole_vector(name: str, value: Any, made: Made) -> tuple[float, ...]:
+    """D numbers, none of them left out; the first one tells d."""
+    return numbers(name, value, dimension(made) if made else None)
+
+
+def parameters(name: str, value: Any, _: Made) -> tuple[float, ...] | None:
+    """Numbers, as many as there are."""
+    return None if value is None else numbers(name, value)
+
+
+def number(name: str, value: Any, _: Made) -> float:
+    """A number."""
+    return finite(name, value)
+
+
+def switch(name: str, value: Any, _: Made) -> bool:
+    """True or False."""
+    return flag(name, value)
+
+
+def span(_: str, value: Any, __: Made) -> tuple[float, float]:
+    """(t_0, t_N)."""
+    return time_span(value)
+
+
+def times(name: str, value: Any, made: Made) -> tuple[float, ...]:
+    """Increasing times inside of the time span."""
+    return times_inside(name, value, made["t_span"])
+
+
+def lengths(names: str, made: Made) -> dict[str, int]:
+    """Lengths of the arguments of a callable, by name; the parameters come last."""
+    d, others = dimension(made), {"t": 1, "u": made.get("controls", 0)}
+    return arguments(made["parameters"], **{name: others.get(name, d) for name in names.split()})
+
+
+def function(names: str, rows: Rows | str) -> Reader:
+    """A callable of these arguments with values of these `rows`: "scalar", "any", or as many as "x" has."""
+
+    def reader(name: str, value: Any, made: Made) -> Any:
+        expected = dimension(made) if rows == "x" else rows
+        return None if value is None else trace(name, value, lengths(names, made), expected)  # type: ignore[arg-type]
+
+    return reader
+
+
+def lagrangian(_: str, value: Any, made: Made) -> ca.Function:
+    """L(t, x, v[, p]), which depends on every v[i] of a component with an equation of motion, and on no others."""
+    d = dimension(made)
+    return trace_lagrangian(value, lengths("t x v", made), d - made["rates"].numel_out(0) if "rates" in made else d)
+
+
+def limited(names: str) -> Reader:
+    """(g, lo, hi), a callable of these arguments and the bounds of its values; without values where it is None."""
+
+    def reader(name: str, value: Any, made: Made) -> Any:
+        if value is not None and (not isinstance(value, (tuple, list)) or len(value) != 3):
+            raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {value!r}")
+        if value is None or is_of_nothing(value[0]):
+            return of_nothing(name, lengths(names, made)), (), ()
+        traced = trace(name, value[0], lengths(names, made), "any")
+        return (traced, *bounds(name, (value[1], value[2]), traced.numel_out(0)))
+
+    return reader
+
+
+def within(of: str) -> Reader:
+    """(lo, hi) of as many values as "controls" or "x" have, that are not all fixed."""
+    return lambda name, value, made: bounds_with_room(name, value, dimension(made) if of == "x" else made["controls"])
