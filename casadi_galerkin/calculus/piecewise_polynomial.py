@@ -148,8 +148,7 @@ class PiecewisePolynomial:
 
     def values_at_parts(self, parts: np.ndarray) -> np.ndarray:
         """Values (d, N, K) at the same parts (K,) of every interval, by its own polynomial."""
-        values, _ = _basis(tuple(self.nodes.tolist()), tuple(parts.tolist()))
-        return self.local @ values.T
+        return self.at_parts(parts)[0]
 
     def at_parts(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values and derivatives (d, N, K) at the same fractions (K,) of every interval, by its own polynomial."""
@@ -211,20 +210,15 @@ class PiecewisePolynomial:
         order = whole(nu)
         if order is None or order < 0:
             raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
-        times = times_within(self.mesh, t)
-        if order > self.degree:
-            return np.zeros((len(self.values), *times.shape))
+        times, steps = times_within(self.mesh, t), np.diff(self.mesh)
         flat = times.ravel()
-        steps = np.diff(self.mesh)
         i = np.clip(np.searchsorted(self.mesh, flat, side=side) - 1, 0, len(steps) - 1)
-        basis = lagrange_values(self.nodes, (flat - self.mesh[i]) / steps[i])
-        if order:
-            slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), order)
-            basis = basis @ slopes / steps[i, None] ** order
-        local = self.local[:, i]
+        basis, local = lagrange_values(self.nodes, (flat - self.mesh[i]) / steps[i]), self.local[:, i]
         if order:  # a derivative does not see a constant; without it the roundoff is that of the differences
-            local = local - local[:, :, :1]
-        return np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape))
+            slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), order)
+            basis, local = basis @ slopes / steps[i, None] ** order, local - local[:, :, :1]
+        values = np.einsum("dkj,kj->dk", local, basis) if order <= self.degree else np.zeros(local.shape[:2])
+        return values.reshape((len(self.values), *times.shape))
 
     def __repr__(self) -> str:
         """Name the size, the degree and the time span."""

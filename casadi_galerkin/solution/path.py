@@ -102,7 +102,9 @@ class Path(Table, Pictured):
             raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")
         chosen = np.array(given, dtype=int)
         names = [f"x[{i}]" for i in chosen] if labels is None else labels
-        return plot_plane(self._line()[1][chosen], self.x[chosen], axes, names)
+        drawn = plot_plane(self._line()[1][chosen], self.x[chosen], axes, names)
+        drawn.set_aspect("equal")
+        return drawn
 
     def plot_poses(
         self, points: Callable[[np.ndarray], ArrayLike], axes: Axes | None = None, count: int = 8, apart: float = 0.0

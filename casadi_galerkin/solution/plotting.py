@@ -136,14 +136,18 @@ def legend_below(axes: Axes, **options: Any) -> None:
     axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.18), **options)
 
 
-def plot_plane(places: np.ndarray, joints: np.ndarray, axes: Axes | None, labels: Sequence[str]) -> Axes:
-    """Draw a way through the plane on equal axes: a line through places (2, K), joints (2, N + 1) as dots."""
-    names = _named("x", 2, labels)
+def plot_plane(
+    places: np.ndarray, joints: np.ndarray, axes: Axes | None, labels: Sequence[str], name: str = "x"
+) -> Axes:
+    """Draw a way through a plane: a line through places (2, K), joints (2, N + 1) as dots."""
+    names = _named(name, 2, labels)
     axes = axes_or_new(axes, (SIZE[0], 0.9 * SIZE[0]))
+    if not axes.lines:
+        axes.set_prop_cycle(color=COLORS)
     (line,) = axes.plot(*places)
     if joints.shape[1] <= DOTS:
         axes.plot(*joints, ".", color=line.get_color())
-    axes.set(xlabel=names[0], ylabel=names[1], aspect="equal")
+    axes.set(xlabel=names[0], ylabel=names[1])
     return axes
 
 
@@ -198,19 +202,6 @@ def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None,
     axes.set(yscale="log", xlabel=time, ylabel="relative gap to the global path")
     if axes.lines:
         axes.legend(fontsize="small")
-    return axes
-
-
-def plot_phase(places: np.ndarray, joints: np.ndarray, axes: Axes | None, labels: Sequence[str]) -> Axes:
-    """Draw a way through phase space: a line through places (2, K), joints (2, N + 1) as dots, the first one larger."""
-    names = _named("x and p", 2, labels)
-    axes = axes_or_new(axes)
-    if not axes.lines:
-        axes.set_prop_cycle(color=COLORS)
-    (line,) = axes.plot(*places)
-    axes.plot(*joints, ".", color=line.get_color())
-    axes.plot(*joints[:, :1], "o", color=line.get_color())
-    axes.set(xlabel=names[0], ylabel=names[1])
     return axes
 
 
@@ -312,34 +303,22 @@ def plot_work_precision(
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axes = axes_or_new(axes, (1.2 * SIZE[0], 1.5 * SIZE[1]))
-    chosen: list[dict[str, str]] = []
-    entries = [Line2D([], [], label="the front", color="0.85", linewidth=7)]
+
+    def draw(points: Points, **looks: Any) -> Artist:
+        """An error of zero has no place on a logarithmic axis."""
+        return axes.loglog([1e3 * t for t, _ in points], [max(e, floor / 3) for _, e in points], **looks)[0]
+
+    entries: list[Artist] = [draw(front, label="the front", color="0.85", linewidth=7, zorder=0)]
+    entries.append(axes.axhspan(floor / 10, floor, color="0.93", zorder=-1, label="rounding, or the reference's error"))
+    chosen: list[dict[str, dict[str, Any]]] = []
     for k, (style, values, sample) in enumerate(LINE_STYLES):
-        names = list(dict.fromkeys(key[k] for key, _ in lines))
-        chosen.append({name: values[i % len(values)] for i, name in enumerate(names)})
+        names = dict.fromkeys(key[k] for key, _ in lines)
+        chosen.append({name: {style: values[i % len(values)]} for i, name in enumerate(names)})
         if k == 0 or len([name for name in names if name]) > 1:  # a single rule or solver is not named
-            given: list[dict[str, Any]] = [sample | {style: chosen[k][name], "label": name} for name in names if name]
-            entries += [Line2D([], [], **entry) for entry in given]
-
-    def drawn(points: Points) -> tuple[list[float], list[float]]:
-        """Milliseconds and errors; an error of zero has no place on a logarithmic axis."""
-        return [1e3 * seconds for seconds, _ in points], [max(error, floor / 3) for _, error in points]
-
-    axes.loglog(*drawn(front), color="0.85", linewidth=7, zorder=0, solid_capstyle="round")
-    for (color, dashes, dots), points in lines:
-        looks = {"color": chosen[0][color], "linestyle": chosen[1][dashes], "marker": chosen[2][dots]}
-        axes.loglog(*drawn(points), markersize=4, linewidth=1, **looks)
-    axes.axhspan(floor / 10, floor, color="0.93", zorder=-1)
-    axes.text(
-        0.99,
-        floor,
-        f"roundoff or the reference's error, {floor:.0e} ",
-        transform=axes.get_yaxis_transform(),
-        ha="right",
-        va="bottom",
-        fontsize="small",
-        color="0.4",
-    )
+            entries += [Line2D([], [], label=name, **sample | look) for name, look in chosen[k].items() if name]
+    for key, points in lines:
+        color, dashes, dots = (looks[name] for looks, name in zip(chosen, key, strict=True))
+        draw(points, markersize=4, linewidth=1, **color, **dashes, **dots)
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())

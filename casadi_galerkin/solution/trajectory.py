@@ -25,7 +25,7 @@ from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.error_indicators import error_indicators
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_phase
+from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_plane
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -216,7 +216,9 @@ class Trajectory(Path):
         places = np.stack((self(times)[component], momenta[component]))
         joints = np.stack((self.x[component], self.momentum[component]))
         names = (f"x[{component}]", f"p[{component}]") if labels is None else labels
-        return plot_phase(places, joints, axes, names)
+        drawn = plot_plane(places, joints, axes, names, "x and p")
+        drawn.plot(*joints[:, :1], "o", color=drawn.lines[-1].get_color())
+        return drawn
 
     def animate(
         self,

@@ -32,7 +32,6 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
-from casadi_galerkin.solution.guess import relative_distance
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
 
 PARTED = 0.1  # relative gap from which its growth is no longer that of a small one
 LEVEL = 1000 * EPS  # relative gap up to which it may be the sum of rounding errors, without growth
-SAME = 1e-6  # relative distance up to which two paths count as one: shooting may miss the end by 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +74,7 @@ class Comparison(Table, Pictured):
     ----------
     global_path : Trajectory
     stepped : Attempt, the steps from the global path's own (x_0, p_0)
-    shooting : Attempt, the boundary problem solved by `shoot`
+    shooting : Attempt, the boundary problem solved by `shoot`; a gap as large as the path is that of another path
     gap_growth : rate λ of the gap of `stepped`, fitted to e^{λ t} at the joints where the gap lies between roundoff and
         0.1; not a number if these are fewer than three
     condition_global, condition_stepwise : how many times a formulation magnifies a relative change of its data: of the
@@ -98,16 +96,6 @@ class Comparison(Table, Pictured):
     gap_growth: float
     condition_global: float
     condition_stepwise: float
-
-    @property
-    def another(self) -> Trajectory | None:
-        """The path of `shooting` if it is another stationary path than `global_path`, else None."""
-        shot = self.shooting.path
-        return None if shot is None or self._distance(shot) <= SAME else shot
-
-    def _distance(self, other: Trajectory) -> float:
-        """Largest difference of a component at a node, over its size on the global path."""
-        return relative_distance(other.polynomial.values, self.global_path.polynomial.values)
 
     @property
     def parting_time(self) -> float:
@@ -134,10 +122,6 @@ class Comparison(Table, Pictured):
             cost = f"{attempt.iterations:11d} {attempt.seconds:10.4f}"
             lines.append(f"  {name:22}{cost}  {gap:>11}  {self.condition_stepwise:9.1e}")
         lines.append(f"  the gap of the steps {self._growth()}")
-        if self.another is not None:
-            actions = f"its action is {self.another.action:.6g}, that of the global path {path.action:.6g}"
-            distance = f"they are up to {self._distance(self.another):.2g} of its size apart"
-            lines.append(f"  shooting found another stationary path: {actions}, and {distance}")
         lines += [f"  {attempt.failure}" for attempt in (self.stepped, self.shooting) if attempt.failure]
         return "\n".join(lines)
 
@@ -159,8 +143,6 @@ class Comparison(Table, Pictured):
         """
         ways = {"stepped from the global start": self.stepped, "shooting": self.shooting}
         gaps = {name + (" (failed)" if way.path is None else ""): way.gap for name, way in ways.items()}
-        if self.another is not None:
-            gaps["shooting (another path)"] = gaps.pop("shooting")
         return plot_gaps(self.global_path.t, gaps, axes, time)
 
 

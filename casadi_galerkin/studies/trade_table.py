@@ -243,14 +243,9 @@ class Trade(Table, Pictured):
         }
 
     def __repr__(self) -> str:
-        """Say how much was measured, and what came out best; ``print`` shows the table."""
-        solved, ways = self._solved(), counted(len({row.way for row in self.rows}), "way")
-        text = f"Trade of {counted(len(self.rows), 'row')}, {ways} to solve; reference: {self.reference}"
-        if not solved:
-            return text
-        best = min(solved, key=lambda row: row.error)
-        cost, how = f"{1e3 * best.solve_seconds:.3g} ms", f"{counted(best.intervals or 0, 'interval')}, {best.way}"
-        return f"{text}\n  least error {best.error:.1e} in {cost}: {best.method}, {how}"
+        """Say how much was measured; ``print`` shows the table."""
+        ways = counted(len({row.way for row in self.rows}), "way")
+        return f"Trade of {counted(len(self.rows), 'row')}, {ways} to solve; reference: {self.reference}"
 
     def __str__(self) -> str:
         """Readable table; the front is marked with a star, and of many rows shown alone.
