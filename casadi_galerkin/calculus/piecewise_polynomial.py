@@ -211,14 +211,15 @@ class PiecewisePolynomial:
         if order is None or order < 0:
             raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
         times, steps = times_within(self.mesh, t), np.diff(self.mesh)
+        if order > self.degree:
+            return np.zeros((len(self.values), *times.shape))
         flat = times.ravel()
         i = np.clip(np.searchsorted(self.mesh, flat, side=side) - 1, 0, len(steps) - 1)
         basis, local = lagrange_values(self.nodes, (flat - self.mesh[i]) / steps[i]), self.local[:, i]
         if order:  # a derivative does not see a constant; without it the roundoff is that of the differences
             slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), order)
             basis, local = basis @ slopes / steps[i, None] ** order, local - local[:, :, :1]
-        values = np.einsum("dkj,kj->dk", local, basis) if order <= self.degree else np.zeros(local.shape[:2])
-        return values.reshape((len(self.values), *times.shape))
+        return np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape))
 
     def __repr__(self) -> str:
         """Name the size, the degree and the time span."""
