@@ -28,7 +28,7 @@ Some errors are common to both degrees, so that the difference does not show the
 - Jumps in time (`solution.hamiltonian`): the errors of cost and path are estimated to be at least their effect.
 - Steps as x or v move, or at given times while durations or parameters are free: no mesh takes their errors away.
 - Controls that leave or meet a bound inside an interval (`bends`), where the quadrature does not see this.
-- The error that the solver leaves (`solver_error`).
+- The error that the solver leaves (`second_order`).
 - Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).
 
 The estimated error of the cost is at least the square of each of the first five, and at least the excess over path

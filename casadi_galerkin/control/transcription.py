@@ -31,7 +31,7 @@ from casadi_galerkin.control.higher_degree import from_near, perturbed, raised
 from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations
-from casadi_galerkin.control.second_variation import CostVariation
+from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import first_found
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
 from casadi_galerkin.functional.constrained_motion import check_points, off_constraint, tangent_at_joints
@@ -248,7 +248,7 @@ class ControlTranscription:
         others = np.zeros((chain.dimension - mechanical, len(joints)))
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T if len(others) else others.T
-        variation = CostVariation(problem, self.method, mesh, optimum, report.cost, self.graph)
+        second_order = SecondOrder(problem, self.method, mesh, optimum, report.cost, self.graph)
         return ControlTrajectory(
             polynomial=path,
             momentum=tangent_at_joints(found, path, momentum),
@@ -260,8 +260,8 @@ class ControlTranscription:
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
             problem=found,
-            find_index=variation.negative,
-            find_remaining_error=variation.remaining_error,
+            find_index=second_order.negative,
+            find_remaining_error=second_order.remaining_error,
             find_errors=partial(estimated_errors, solver),
             cost=report.cost,
             cost_size=report.cost_size,

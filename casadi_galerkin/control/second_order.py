@@ -1,0 +1,221 @@
+"""What the second derivatives of the cost tell at an optimum: what the solver has left, and whether it is a minimum.
+
+Let A be the derivatives of the equations G, and d the distances of values to the bounds on which their multipliers act.
+At the optimum the equations hold, the slopes vanish, and every multiplier or its distance is zero.  The Newton step
+(δ, δλ) to this, without the solver's barrier and tolerances, solves
+
+    (∇²f̄ + Σ) δ + Aᵀδλ = -∇f̄,        A δ - D δλ = -G,        Σ = |μ| / d,        D = d / |λ|,
+
+where ∇f̄ are the slopes of the Lagrangian without the multipliers μ of bounds.  For inequalities alone, D is not zero,
+and the right-hand side is ±d, with the sign of the multiplier, in place of -G.  The error is `STEPS` such steps.  Where
+the path is not determined at all, all slopes may vanish, and the effect of rounding of the equations shows this.
+
+The active constraints are the equations, and the bounds and inequalities that are met with equality; let A now be their
+gradients.  By Sylvester's law, for small δ, ∇²f̄ + AᵀA/δ has as many negative eigenvalues as ∇²f̄ has on the directions
+z with A z = 0.  A bound that is nearly met, as beside a switch, adds its stiffness Σ: the first-order cost of a way
+towards it has no other part in the second variation.  The effect of rounding is smallest with slopes as unknowns in
+place of node values, and rows of A of length one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
+from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.graph import LEAST_COST, ControlGraph
+from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
+from casadi_galerkin.functional.linear_equations import NO_CUTOFF
+from casadi_galerkin.functional.mapping import one_by_one
+from casadi_galerkin.problems.bounds import AT_BOUND
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.solution.control_trajectory import RemainingError
+from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
+
+STEPS = 3.0  # errors over Newton steps: where the cost is like a fourth power, a step leaves two thirds of the distance
+FLAT = 1e-6  # relative change of the cost that counts as none, as along a singular arc
+PENALTIES = 1e-7, 1e-9  # values of δ; where their counts differ, the counts depend on δ or on rounding
+
+
+@dataclass(frozen=True)
+class SecondOrder:
+    """Second derivatives of the cost at an optimum; pickled without the graph, which is built again when needed.
+
+    Attributes
+    ----------
+    problem, method, mesh : as they were solved
+    optimum : the point where the solver stopped
+    cost : cost of the optimum
+    graph : ControlGraph, or None before it is built again
+    """
+
+    problem: ControlProblem
+    method: Galerkin
+    mesh: np.ndarray
+    optimum: Optimum
+    cost: float
+    graph: ControlGraph | None
+
+    def _graph(self) -> ControlGraph:
+        return self.graph or ControlGraph(self.problem, Chain(self.problem, self.method, self.mesh), one_by_one)
+
+    def remaining_error(self) -> RemainingError:
+        """Errors of path, durations and cost that the solver has left.
+
+        They are at least the effect of rounding, and infinite where the Newton step is not finite.
+        """
+        graph, at = self._graph(), self.optimum
+        chain, kinds = graph.chain, graph.chain.unknown_kinds
+        steps = _newton_step(graph, at)
+        change = abs(float(ca.dot(graph.gradient(at.unknowns, at.data)[1], steps[0])))
+        sizes = largest_of(np.abs(at.unknowns), kinds)
+        first, rounding = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps)
+        errors = np.fmax(STEPS * first, rounding)
+        durations = kinds[chain.fields["durations"][-1]] if "durations" in chain.free else kinds[:0]
+        of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))
+        return RemainingError(errors[: chain.dimension], of_durations, change if np.isfinite(change) else np.inf)
+
+    def negative(self) -> int | None:
+        """Number of independent directions in which the cost decreases to second order; None where rounding hides it.
+
+        A relative decrease of at most `FLAT`, for changes as large as the path, is not counted.
+        """
+        graph, at = self._graph(), self.optimum
+        chain = graph.chain
+        values, gradients = graph.jacobian(at.unknowns, at.data)
+        sizes, rows = _sizes(chain, at.unknowns), np.array(values).ravel()
+        slope = np.abs(np.array(graph.gradient(at.unknowns, at.data)[1]).ravel())
+        terms = np.array(ca.mtimes(ca.fabs(gradients), sizes)).ravel()
+        costs = slope @ sizes > ACCEPTABLE * (np.abs(at.multipliers) @ terms)
+        multipliers = at.multipliers if costs else 0 * at.multipliers  # these are then errors of the solver
+        hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, multipliers)[1]
+        free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, sizes)).tolist()
+        held = np.flatnonzero(_active(rows, at.bounds.equations, np.abs(rows))).tolist()
+        units, flat = (ca.diag(ca.DM(a)) for a in (_units(chain, at, sizes), np.where(sizes > 0, FLAT, 0.0)))
+        curved = ca.mtimes(units, ca.mtimes(hessian, units))
+        largest = float(ca.norm_inf(curved))
+        if largest == 0:
+            return 0  # the cost does not vary
+        if costs:
+            inequalities = (
+                (at.unknowns, at.bound_multipliers, at.bounds.unknowns),
+                (rows, multipliers, at.bounds.equations),
+            )
+            stiff, limits = (ca.sparsify(ca.diag(ca.DM(_stiffness(of[1], _distances(*of))))) for of in inequalities)
+            stiff += ca.mtimes(gradients.T, ca.mtimes(limits, gradients))
+            curved += ca.mtimes(units, ca.mtimes(stiff, units))
+        measured = abs(self.cost) > LEAST_COST * largest  # else its terms cancel, or it is zero
+        relative = curved / (abs(self.cost) if measured else largest) + flat
+        change = _slopes(chain, self.mesh)[free, free]
+        hessian = ca.mtimes(change.T, ca.mtimes(relative[free, free], change))
+        gradients = ca.mtimes(ca.mtimes(gradients, units)[held, free], change)
+        lengths = ca.sqrt(ca.sum2(gradients**2))
+        gradients = ca.mtimes(ca.diag(1 / ca.if_else(lengths > 0, lengths, 1.0)), gradients)
+        matrices = [hessian + ca.mtimes(gradients.T, gradients) / softened for softened in PENALTIES]
+        counts = {negative_pivots(matrix, factors_of(matrix.sparsity())) for matrix in matrices}
+        return counts.pop() if len(counts) == 1 else None
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "graph": None}
+
+
+def _newton_step(graph: ControlGraph, at: Optimum) -> np.ndarray:
+    """The step δ, and the effect on it of rounding of the terms of its equations, with random signs; (2, unknowns).
+
+    `EPS` on the diagonal regularizes undetermined unknowns, such as the shares of two redundant controls.  It is not
+    added for states, which follow from the others: there it would outweigh the curvature of a cost that hardly depends
+    on the path.
+    """
+    chain, report = graph.chain, graph.report(at.unknowns, at.data, at.multipliers)
+    (low, high), kinds, alike = at.bounds.equations, chain.kinds, chain.unknown_kinds
+    to_bounds = _distances(at.unknowns, at.bound_multipliers, at.bounds.unknowns)
+    to_limits = _distances(report.equations, at.multipliers, at.bounds.equations)
+    free = np.less(*at.bounds.unknowns) & (to_bounds > 0)
+    entries, rows = (np.flatnonzero(chosen).tolist() for chosen in (free, np.isfinite(to_limits)))
+    states = np.concatenate([chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
+    chosen = np.append(~np.isin(entries, states), -np.ones(len(rows)))
+    hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, at.multipliers)[1][entries, entries]
+    across = graph.jacobian(at.unknowns, at.data)[1][rows, entries]
+    softness = to_limits[rows] / np.maximum(np.abs(at.multipliers[rows]), TINY)
+    diagonal = np.append(_stiffness(at.bound_multipliers, to_bounds)[entries], -softness)
+    matrix = ca.blockcat([[hessian, across.T], [across, ca.DM(len(rows), len(rows))]]) + ca.diag(ca.DM(diagonal))
+    gaps = np.where(low == high, high - report.equations, np.copysign(to_limits, at.multipliers))
+    sizes = [largest_of(np.abs(a), kind)[kind] for a, kind in ((at.unknowns, alike), (at.multipliers, kinds))]
+    terms = np.array(ca.mtimes(ca.fabs(matrix), np.append(sizes[0][entries], sizes[1][rows]))).ravel()
+    rounding = EPS * terms * np.random.default_rng(len(terms)).choice((-1.0, 1.0), len(terms))
+    rhs = np.stack((np.append(-report.slope[entries], gaps[rows]), rounding), axis=1)
+    steps = np.zeros((2, len(free)))
+    steps[:, free] = _solution(matrix, rhs, EPS * chosen)[: len(entries)].T
+    return steps
+
+
+def _solution(matrix: ca.DM, rhs: np.ndarray, added: np.ndarray) -> np.ndarray:
+    """Solution of symmetric equations, scaled so that the largest entries of rows and columns are near one.
+
+    `added` is put on the diagonal of the scaled matrix.  Source: D. Ruiz, Report RAL-TR-2001-034 (2001).
+    """
+    row, column = (np.array(index, dtype=int) for index in matrix.sparsity().get_triplet())
+    values, units = np.array(matrix.nonzeros()), np.ones(len(rhs))
+    for _ in range(3):
+        scaled = units[row] * values * units[column]
+        units /= np.sqrt(or_one(largest_of(np.abs(scaled), row, len(rhs))))
+    scaled = ca.DM(matrix.sparsity(), units[row] * values * units[column]) + ca.diag(ca.DM(added))
+    return units[:, None] * ca.solve(scaled, ca.DM(units[:, None] * rhs), "qr", NO_CUTOFF).full()
+
+
+def _distances(values: np.ndarray, multipliers: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Distances of values to the bounds on which their multipliers act; infinite where a multiplier is zero."""
+    low, high = bounds
+    to_bound = np.where(multipliers > 0, high - values, values - low)
+    return np.where(low == high, 0.0, np.where(multipliers == 0, np.inf, np.maximum(to_bound, 0.0)))
+
+
+def _stiffness(multipliers: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    """|μ|/d of inequalities at distances d from the bounds on which their multipliers μ act; zero at the bounds."""
+    return np.divide(np.abs(multipliers), distances, out=np.zeros_like(distances), where=distances > 0)
+
+
+def _sizes(chain: Chain, unknowns: np.ndarray) -> np.ndarray:
+    """Largest size of positions, of controls and of each free constant, for their entries; zero for other unknowns."""
+    sizes = np.zeros(chain.unknowns)
+    for names in (["x", "nodes"], ["controls"], *([name] for name in chain.free)):
+        entries = np.concatenate([chain.fields[name].ravel() for name in names])
+        sizes[entries] = np.max(np.abs(unknowns[entries]), initial=0.0)
+    return sizes
+
+
+def _units(chain: Chain, at: Optimum, sizes: np.ndarray) -> np.ndarray:
+    """Units of the unknowns: their sizes, those of the largest component for momenta and velocities; one for a zero.
+
+    A component that is zero all along the path has no size, but its momentum is compared with those of others.
+    """
+    units, fields = sizes.copy(), chain.fields
+    velocities = np.concatenate([fields[name].ravel() for name in ("start_velocity", "end_velocity", "velocity")])
+    units[velocities] = np.max(np.abs(at.unknowns[velocities]), initial=0.0)
+    if chain.mechanical:
+        measures = np.append(at.unknowns, at.data)[fields["sizes"]]  # in which momenta are stored
+        units[fields["momentum"]] = np.max(np.abs(at.unknowns[fields["momentum"]] * measures)) / measures
+    return or_one(units)
+
+
+def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
+    """The matrix from slopes on the intervals, instead of node values, to the unknowns; all others stay the same.
+
+    On an interval that is a part ε of the duration, the equations compare node values that differ by the order of ε,
+    and AᵀA would contain them only with a factor ε².
+    """
+    nodes, units = chain.fields["nodes"], np.ones(chain.unknowns)
+    units[nodes] = (np.diff(mesh) / np.ptp(mesh))[:, None, None]
+    states = np.broadcast_to(chain.fields["x"][:-1, None], nodes.shape)
+    where = nodes.ravel().tolist(), states.ravel().tolist()
+    return ca.diag(ca.DM(units)) + ca.DM.triplet(*where, ca.DM.ones(nodes.size), *[chain.unknowns] * 2)
+
+
+def _active(values: np.ndarray, bounds: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Which values meet a bound."""
+    inside = np.minimum(values - bounds[0], bounds[1] - values)
+    return inside <= AT_BOUND * sizes
