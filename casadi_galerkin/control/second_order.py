@@ -137,7 +137,7 @@ def _newton_step(graph: ControlGraph, at: Optimum) -> np.ndarray:
     free = np.less(*at.bounds.unknowns) & (to_bounds > 0)
     entries, rows = (np.flatnonzero(chosen).tolist() for chosen in (free, np.isfinite(to_limits)))
     states = np.concatenate([chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
-    chosen = np.append(~np.isin(entries, states), -np.ones(len(rows)))
+    added = EPS * np.append(np.where(np.isin(entries, states), 0.0, 1.0), -np.ones(len(rows)))
     hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, at.multipliers)[1][entries, entries]
     across = graph.jacobian(at.unknowns, at.data)[1][rows, entries]
     softness = to_limits[rows] / np.maximum(np.abs(at.multipliers[rows]), TINY)
@@ -149,7 +149,7 @@ def _newton_step(graph: ControlGraph, at: Optimum) -> np.ndarray:
     rounding = EPS * terms * np.random.default_rng(len(terms)).choice((-1.0, 1.0), len(terms))
     rhs = np.stack((np.append(-report.slope[entries], gaps[rows]), rounding), axis=1)
     steps = np.zeros((2, len(free)))
-    steps[:, free] = _solution(matrix, rhs, EPS * chosen)[: len(entries)].T
+    steps[:, free] = _solution(matrix, rhs, added)[: len(entries)].T
     return steps
 
 
