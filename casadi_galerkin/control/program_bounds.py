@@ -84,12 +84,11 @@ def equation_scales(
     """Sizes of the terms of the equations, to which their residuals are relative; (equations,).
 
     For the equations of motion of a component it is the largest sum of the sizes of the terms of one of them along the
-    path, at least a rounding of that along the guess (`before`, by kind); for a rate, one of its given positions or of
-    one.  For a path constraint or an end condition g it is |∇g||z|, or its finite bound if that is larger.
+    path; for a path constraint or an end condition g it is |∇g||z|, or its finite bound if that is larger.  All are at
+    least a rounding of that along the guess (`before`, by kind), or of a rounding; for a rate, of its given positions.
     """
     given = np.nan_to_num(np.vstack((problem.given_positions, np.array(problem.position_bounds))), posinf=0, neginf=0)
-    of_guess, stated = np.zeros(len(report.sizes)), largest_of(_finite_sizes(bounds.equations), chain.kinds)
-    of_guess[chain.motions] = before[chain.motions]
+    of_guess, stated = np.fmax(before, LEAST_SIZE), largest_of(_finite_sizes(bounds.equations), chain.kinds)
     of_guess[chain.rated] = np.minimum(or_one(np.max(np.abs(given), axis=0)[problem.mechanical :]), 1.0)
     return or_one(np.fmax(np.fmax(report.sizes, stated), LEAST_SIZE * of_guess))[chain.kinds]
 

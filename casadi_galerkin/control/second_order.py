@@ -71,7 +71,7 @@ class SecondOrder:
         graph, at = self._graph(), self.optimum
         chain, kinds = graph.chain, graph.chain.unknown_kinds
         steps = _newton_step(graph, at)
-        change = abs(float(ca.dot(graph.gradient(at.unknowns, at.data)[1], steps[0])))
+        change = STEPS * abs(float(ca.dot(graph.gradient(at.unknowns, at.data)[1], steps[0])))
         sizes = largest_of(np.abs(at.unknowns), kinds)
         first, rounding = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps)
         errors = np.fmax(STEPS * first, rounding)
