@@ -76,21 +76,14 @@ REQUIRED_AGREEMENT = 0.99
 MOST_HALVINGS = 8  # most meshes that are halved because the two degrees disagree; beyond, only rounding differed
 FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls with the mesh
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
-CROWDED = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
 # interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
 TIME_ROUNDING = 1e5 * EPS
-# distance over the duration within which a breakpoint may be the cause of an error that stays
-BREAKPOINT_DISTANCE = 1e-2
 # A large error on more than so many intervals, which together take less than this part of the duration, is that of a
 # kink at a place that rounding hides.
 CROWD_SIZE, CROWD_LENGTH = 20, 1e-3
 INTERMEDIATE = 1e-3, 500  # tolerance and largest number of intervals for the intermediate paths of a homotopy
 INDICATOR_PATIENCE = 3  # successive meshes on which an error indicator may stay large at one place before an error
 TRUNCATION_PATIENCE = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
-NOT_SMOOTH = (
-    "Either L is not smooth there: name that time in the breakpoints of the problem, or smooth a step in x, as by "
-    "tanh. Or the path passes through a singularity: give a guess that leads around it"
-)
 
 
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
@@ -106,8 +99,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         solver: SolverLike,
         limits: Limits,
     ) -> None:
-        super().__init__(tol, limits, graphs.verbose)
-        self.graphs, self.method = graphs, method
+        super().__init__(tol, method, graphs.problem.breakpoints, limits, graphs.verbose)
+        self.graphs = graphs
         self.built = graphs.build_seconds  # until now, for earlier refinements
         self.solver, self.warm_solver = solver, warm_newton(solver)
 
@@ -128,7 +121,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """The path of one level, and the residual that the solver has left."""
         return level.polynomial, level.solution.residual
 
-    def path(self, level: CriticalPoint, error: float) -> Path:
+    def answer(self, level: CriticalPoint, error: float) -> Path:
         """The critical path on the mesh of a level, with its error; a Path where nothing more can be said of it."""
         try:
             return self.finish(level, error)
@@ -170,7 +163,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         if error <= self.tol and not self.degrees_agree(level, varied):
             return Estimate(1 - self.agreements[-1], False, "responses to forces", np.full(len(truncation), 2.0))
         shares = np.maximum(truncation, TINY) / max(float(np.max(truncation)), TINY)
-        return Estimate(error, True, f"degree {higher.method.degree}", self.parts(error * shares))
+        magnified = ": the ends are nearly conjugate" if error > 1 else ""
+        return Estimate(error, True, f"degree {higher.method.degree}{magnified}", self.parts(error * shares))
 
     def regular(self, level: CriticalPoint) -> bool:
         """Whether the path is so regular that an error of eps in its values stays far below the tolerance."""
@@ -223,38 +217,29 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             raise self.stopped(reason, level, 1 - self.agreements[-1])
         return False
 
-    def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
-        """Solve on the equidistributed mesh.
+    def better_mesh(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> np.ndarray:
+        """The equidistributed mesh.
 
         Where the last mesh did not halve the error, the path is less smooth than the order of the method requires, and
         the new mesh has more intervals than the last.  Only errors from the same source are compared.
         """
-        path, breakpoints = level.polynomial, self.graphs.problem.breakpoints
-        smallest = self.smallest_errors.get(estimate.source, math.inf)
-        fewest = FEWEST if estimate.error < smallest / 2 else len(path.mesh)
+        mesh, smallest = level.polynomial.mesh, self.smallest_errors.get(estimate.source, math.inf)
+        fewest = FEWEST if estimate.error < smallest / 2 else len(mesh)
         self.smallest_errors[estimate.source] = min(smallest, estimate.error)
-        mesh = equidistributed(path.mesh, estimate.detail, fewest=fewest, breakpoints=breakpoints)
-        self.check_mesh(mesh, level, estimate)
-        point = self.graphs.solve(self.method, mesh, path, self.warm_solver)
-        if not math.isfinite(level.solution.action):  # and not on one coarse mesh alone
+        return equidistributed(mesh, estimate.detail, fewest=fewest, breakpoints=self.breakpoints)
+
+    def solve_on(self, mesh: np.ndarray, level: CriticalPoint) -> CriticalPoint:
+        """Solve from the last path; refuses a path along which L is not finite on two meshes in a row."""
+        point = self.graphs.solve(self.method, mesh, level.polynomial, self.warm_solver)
+        if not math.isfinite(level.solution.action):
             refuse_undefined(self.graph(point.polynomial).functional, point.solution, point.polynomial)
         return point
 
-    def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
-        """Stop where a mesh has too many intervals, or one that is too short for the precision of a double."""
-        steps, duration = np.diff(mesh), mesh[-1] - mesh[0]
+    def shortest(self, mesh: np.ndarray) -> np.ndarray:
+        """Lengths below which the precision of a double does not resolve intervals, or their times."""
         inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
-        shortest = np.maximum(np.maximum(SHORTEST * duration, TIME_ROUNDING * inside), NEAREST * np.max(np.abs(mesh)))
-        i, few = int(np.argmin(steps / shortest)), len(steps) <= self.limits.intervals
-        if few and steps[i] > shortest[i]:
-            return
-        needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
-        crowded = steps[i] < CROWDED * duration
-        sharp = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], duration)}" if crowded else ""
-        magnified = ": the ends are nearly conjugate" if estimate.trusted and estimate.error > 1 else ""
-        source = f"estimated from {estimate.source}{magnified}{sharp}"
-        reason = f"the mesh would need {needs} for an error of {estimate.error:.1e}, {source}"
-        raise self.stopped(reason, level, estimate.error)
+        steps = np.maximum(SHORTEST * (mesh[-1] - mesh[0]), TIME_ROUNDING * inside)
+        return np.maximum(steps, NEAREST * np.max(np.abs(mesh)))
 
     def check_stagnation(self, level: CriticalPoint, source: str, errors: np.ndarray, patience: int) -> None:
         """Stop where an error at one place does not fall with the mesh, or is spread over many short intervals."""
@@ -270,19 +255,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, duration)
             reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {not_smooth}"
             raise self.stopped(reason, level, worst)
-
-    def not_smooth(self, when: float, duration: float) -> str:
-        """Say why the error near a time may not fall."""
-        rule = self.method.quadrature
-        beside = [
-            time for time in self.graphs.problem.breakpoints if abs(time - when) <= BREAKPOINT_DISTANCE * duration
-        ]
-        if beside and {0.0, 1.0}.intersection(rule.points):
-            return (
-                f"The quadrature has a point at the joint t = {beside[0]:.9g}, a breakpoint, and sees one side of a "
-                f"jump there: take gauss({len(rule)}), whose points are inside the intervals"
-            )
-        return NOT_SMOOTH
 
     @property
     def local_solver(self) -> SolverLike:

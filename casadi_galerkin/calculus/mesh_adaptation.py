@@ -52,6 +52,11 @@ def _to_legendre(nodes: tuple[float, ...]) -> np.ndarray:
     return np.linalg.inv(legendre.legvander(2 * np.array(nodes) - 1, len(nodes) - 1))
 
 
+def legendre_coefficients(path: PiecewisePolynomial, sizes: np.ndarray) -> np.ndarray:
+    """Legendre coefficients of a path on every interval, relative to sizes (d,) of the components; (d, N, m + 1)."""
+    return (path.local / sizes[:, None, None]) @ _to_legendre(tuple(path.nodes.tolist())).T
+
+
 def truncation_error(path: PiecewisePolynomial, sizes: np.ndarray | None = None) -> np.ndarray:
     """Estimate the truncation error of a path on each interval, relative to the sizes of the components; (N,).
 
@@ -61,8 +66,7 @@ def truncation_error(path: PiecewisePolynomial, sizes: np.ndarray | None = None)
     last one between neighboring intervals.
     """
     m = path.degree
-    local = path.local / (path.sizes if sizes is None else sizes)[:, None, None]
-    signed = local @ _to_legendre(tuple(path.nodes.tolist())).T  # (d, N, m + 1)
+    signed = legendre_coefficients(path, path.sizes if sizes is None else sizes)
     coefficients = np.abs(signed)
     if m < 3:
         steps, last = np.diff(path.mesh), np.max(coefficients[:, :, -1], axis=0)
@@ -113,7 +117,7 @@ def resized_mesh(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...
     return spread_over(mesh, np.arange(len(mesh)), intervals, breakpoints)
 
 
-def parts_wanted(error: np.ndarray, order: int, tol: float) -> np.ndarray:
+def parts_wanted(error: np.ndarray, order: int | np.ndarray, tol: float) -> np.ndarray:
     """Parts into which to split intervals with errors (N,) that fall with the step to the power `order`; (N,)."""
     return (error / (TARGET * tol)) ** (1.0 / order)
 

@@ -6,7 +6,7 @@ nonlinear program with its derivatives, and `program_bounds` its bounds and what
 and `continuous_controls` chooses among controls that act alike; `second_order` estimates how far from the optimum that
 may be and tells minima from saddles, and `failure_report` reports failures.  `transcription` combines all this and
 starts from a guess, which `initial_guess` reads; `starts` tries other guesses, too.  `control_function` is the same as
-one CasADi Function.  `refinement` meets a tolerance, by `error_estimate`, `better_mesh`, `phases`, where controls
-switch or bend (`switching`, `bends`), and `touches` of bounds.
+one CasADi Function.  `refinement` meets a tolerance by `two_comparisons`, and leaves `idle_breakpoints`
+out.
 This folder imports all that stand before `boundary`, but neither `boundary` nor `stepping`.
 """

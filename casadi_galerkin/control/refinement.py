@@ -1,34 +1,13 @@
 """From a tolerance to a degree and a mesh, for trajectory optimization.
 
-Every mesh is solved twice: with degree m, and with degree m + 2 from a copy of the first path that is perturbed by
-√`tol` (`higher_degree`).  `error_estimate` describes how the two give an error, and `better_mesh` a new mesh.
-Estimated are the relative errors of cost and duration, and the largest error of x at the joints and between them,
-relative to the size of its component.  The error of the control is not estimated, but the path that it leads to between
-the quadrature points is; nor is it known whether the optimum is the global one.
+Every path is compared with two others of degree m + 2, on its mesh and on an interlaced one: see `two_comparisons`,
+which also proposes the next mesh.  Estimated are the relative errors of cost and duration, and the largest error of x
+at the joints and between them, relative to the size of its component.  The error of the control is not estimated, nor
+is it known whether the optimum is the global one.
 
 Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
-in place of the coarser path.  Where it finds none of degree m + 2, there is no error estimate, and the next mesh has
-every interval halved.  Meshes may alternate, where controls switch often.  So where four in a row did not reduce the
-error, every interval is halved.  IPOPT's own tolerance does not follow `tol`: a looser one was hardly faster, and
-sometimes failed.
-
-On smooth paths the estimate is near the true error, and some ten times the error where a position meets its bound.
-Where controls switch, or reach their bounds or those of a path constraint, both degrees may share a wrong time of this:
-of 402 paths with bounded controls or speeds, the estimates of 34 were too small, by up to 4.5 times, and those of 3
-costs, by up to 3.5 times; no error was above `tol`.  How often the estimate bounds the error of the cost is counted on
-nineteen problems by `examples/benchmark/literature.py`.
-
-Where a path would be accepted, the errors that the solver leaves (`solver_error`) are added.  A finer mesh does not
-reduce them: where they count, the next solves are to leave less (`SHARP`), and where they are above the tolerance once
-more, with both degrees, the refinement ends.
-
-Two kinds of paths are out of reach at tight tolerances.  One touches a path constraint in one point, to 1e-8 with a
-Gauss rule.  The other has a singular arc, where controls differ from mesh to mesh at the same cost: the error of the
-cost is then small long before that of the path.  The error raised says so, and a tolerance of the cost alone is mostly
-met.
-
-Jumps in time that are not among the breakpoints are detected, and the mesh is refined beside them.
-At tight tolerances the error raised names the time to add.  Where a path constraint steps, the estimate is too small.
+in place of the coarser path.  Where one of the two others is not found, there is no error estimate, and the next mesh
+has every interval halved; so it has where four meshes in a row did not reduce the error.
 """
 
 from __future__ import annotations
@@ -46,17 +25,14 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.control.better_mesh import better_mesh
-from casadi_galerkin.control.error_estimate import HigherDegree
-from casadi_galerkin.control.failure_report import UNITS
-from casadi_galerkin.control.higher_degree import from_near, perturbed, raised
-from casadi_galerkin.control.phases import with_joined_phases, with_parted_phases
+from casadi_galerkin.control.idle_breakpoints import switch_times, with_joined_phases, with_parted_phases
 from casadi_galerkin.control.starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
+from casadi_galerkin.control.two_comparisons import TwoComparisons, compared, from_near
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times
-from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits
@@ -66,23 +42,9 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
-# Ratio of IPOPT's tolerance to its last barrier where a control switches.  The barrier keeps values off bounds to which
-# little pushes them, such as controls on the short intervals beside a switch.  With IPOPT's own ratio of 10, the mass
-# of a rocket was accurate to 3e-7 only.
-BARRIER_RATIO = 1e4
-# Options with which IPOPT leaves less where no control switches, from where it has left more than this share of the
-# tolerance.  It else ends where no multiplier times the distance to its bound exceeds 1e-12, with controls 1e-4 off the
-# bounds that they leave or meet.  These come second, because where arcs are singular IPOPT may lose its way with them.
-OPEN_SHARE = 0.1
-SHARP = {"barrier_tol_factor": BARRIER_RATIO, "compl_inf_tol": 1e-16, "acceptable_iter": 6}
-OPEN_LEVELS = 3  # levels in a row that are left open after which the refinement ends: a finer mesh may help
+ACCEPTABLE_SHARE = 1e-2  # IPOPT's acceptable tolerance over one of the cost
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
-LEFT_OPEN = (
-    "Multiply the cost by 100: the solver's tolerances are absolute. If that changes nothing, the cost hardly depends "
-    "on the path: give a cost_tol in place of tol, add a small cost of the control, or leave out a waypoint at a free "
-    "time that asks for nothing"
-)
 
 
 def control_method_for(tol: float) -> Galerkin:
@@ -101,18 +63,17 @@ def fits_any_mesh(guess: Guess | None) -> bool:
     return all(part is None or callable(part) or isinstance(part, tuple) for part in parts)
 
 
-class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
+class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
     """One refinement of a trajectory optimization to a tolerance: of all errors, or `of_cost` alone; see `solve`."""
 
     roundoff_level = 1e-9  # error that the solvers leave
     persistence = 15
     iterations = 0  # of the solver in all solves so far
     build_seconds = 0.0
-    known: HigherDegree | None = None  # the last error estimate
+    found: ControlTrajectory | None = None  # the last path
+    known: TwoComparisons | None = None  # the last error estimate, or None where there was none
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
     guess: Guess | None = None  # with which the refinement began
-    left_open = False  # whether the solver has left an error that counts, and has to leave less
-    open_levels = 0  # levels in a row on which it has left the path open all the same
 
     def __init__(
         self,
@@ -124,15 +85,15 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         solver: Solver,
         verbose: int,
     ) -> None:
-        super().__init__(tol, limits, verbose)
         self.stated, self.problem = problem, with_joined_phases(problem)
-        self.of_cost, self.method, self.solver = of_cost, method, solver
+        super().__init__(tol, method, self.problem.breakpoints, limits, verbose)
+        self.of_cost, self.solver = of_cost, solver
 
     def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, float]:
         """The path of one level, and the violation that the solver has left."""
         return level.polynomial, level.residual
 
-    def path(self, level: ControlTrajectory, error: float) -> ControlTrajectory:
+    def answer(self, level: ControlTrajectory, error: float) -> ControlTrajectory:
         """The optimum on the mesh of a level, with its error."""
         path = with_parted_phases(level, self.stated)
         return replace(path, cost_error=error) if self.of_cost else replace(path, error_estimate=error)
@@ -144,7 +105,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one method on one mesh within the phases of the problem."""
         transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
-        solver = self.warm_solver if isinstance(guess, ControlTrajectory) else self.solver
+        solver = self.warm_solver(guess) if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)
@@ -152,21 +113,19 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             self.iterations += failure.iterations
             raise
         except ValueError as error:
-            if self.known is None:
+            if self.found is None:
                 raise
             words = f"from the path on the last mesh, {error}"  # which is where a callable overflows
-            raise ConvergenceError(words, Path(self.known.path.polynomial)) from error
+            raise ConvergenceError(words, Path(self.found.polynomial)) from error
         finally:
             self.build_seconds += transcription.build_seconds
-        self.iterations += path.iterations
+        self.iterations, self.found = self.iterations + path.iterations, path
         return path
 
-    @property
-    def warm_solver(self) -> Solver:
+    def warm_solver(self, near: ControlTrajectory) -> Solver:
         """The solver from an earlier path, with other options where it has none of its own."""
-        if self.known is not None and self.known.switches:
-            return from_near(self.solver, barrier_tol_factor=BARRIER_RATIO)
-        return from_near(self.solver, **(SHARP if self.left_open else {}))
+        # the cost changes in second order only by what a looser tolerance leaves
+        return from_near(self.solver, near, ACCEPTABLE_SHARE * self.tol if self.of_cost else 0.0)
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """The path on a mesh or, where none is found, on one twice as fine."""
@@ -178,78 +137,54 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
                 raise
         return self.solve(self.method, finer, guess)
 
-    def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
-        """The error estimated from a path of higher degree on the same mesh, where there is one."""
-        method = raised(self.method)
+    def estimate(self, level: ControlTrajectory) -> Estimate[TwoComparisons | None]:
+        """The error estimated from the two paths of higher degree, where they are found."""
         self.check_time()
+        self.known = None
         try:
-            higher = self.solve(method, self.scaled(level.t, level), perturbed(level, math.sqrt(self.tol)))
+            detail = compared(level, lambda method, mesh: self.solve(method, self.scaled(mesh, level), level))
         except ConvergenceError:
             self.check_time()
-            return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)
-        before = [] if self.known is None else [*self.known.touches_of_higher, *self.known.touches]
-        detail = HigherDegree(level, higher, before)
-        cost, path = detail.errors if detail.cost_error <= self.tol else (detail.cost_error, detail.error)
+            return Estimate(np.inf, False, "no answer of higher degree", None)
+        cost, error = detail.errors
         self.known, self.cost_known = detail, min(self.cost_known, cost)
-        return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
+        return Estimate(cost if self.of_cost else error, True, f"degree {detail.better.method.degree}", detail)
 
-    def check_solver(self, detail: HigherDegree) -> None:
-        """Ask the solver to leave less where what it leaves counts, and stop where it does not, for a path thrice."""
-        cost, path = map(min, detail.remaining_error(detail.path), detail.remaining_error(detail.higher))
-        if self.left_open and cost > self.tol:
-            raise self.stopped(f"the solver may have left {cost:.0e} of the cost", *self.best, UNITS)
-        path_open = self.left_open and not self.of_cost and path > max(self.tol, detail.error)
-        self.open_levels = self.open_levels + 1 if path_open else 0
-        if self.open_levels == OPEN_LEVELS:
-            raise self.stopped(f"the solver leaves the path open by {path:.0e} of its size", *self.best, LEFT_OPEN)
-        most = cost if self.of_cost else max(cost, detail.path.solver_error)
-        self.left_open = self.left_open or most > OPEN_SHARE * self.tol
+    def better_mesh(self, level: ControlTrajectory, estimate: Estimate[TwoComparisons | None]) -> np.ndarray:
+        """The mesh that the comparisons ask for or, where there are none or their meshes alternate, one twice as fine.
 
-    def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
-        """Solve on the better mesh from the path of higher degree or, where there is none, on a mesh twice as fine."""
+        It is within the phases of the problem.
+        """
         detail = estimate.detail
-        if detail is not None:
-            self.check_solver(detail)
-            if detail.unseen_step ** (2 if self.of_cost else 1) > max(self.tol, detail.change):
-                raise self.stopped("no mesh takes away the error of a step", *self.best)
-        known = level if detail is None else detail.higher
         if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
-            mesh = halved(known.t)
-        else:
-            mesh = better_mesh(detail, self.path_tol(detail), self.tol)
-        if len(mesh) - 1 > self.limits.intervals:
-            raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", *self.best)
-        joints = self.scaled(mesh, known)
-        if np.min(np.diff(joints)) < 2 * SHORTEST * np.ptp(joints):
-            reason = f"the mesh would need an interval near {SHORTEST:g} of the duration"
-            raise self.stopped(reason, *self.best)
+            return self.scaled(halved(level.t), level)
+        idle = len(self.stated.breakpoints) > len(self.breakpoints)
+        joints = switch_times(detail.better) if idle else ()
+        return self.scaled(detail.mesh(self.path_tol(detail), joints), detail.better)
+
+    def solve_on(self, mesh: np.ndarray, level: ControlTrajectory) -> ControlTrajectory:
+        """Solve from the better path or, where none is found from there, from the first guess on a finer mesh."""
         try:
-            return self.solve_finer(joints, known)
+            return self.solve_finer(mesh, level if self.known is None else self.known.better)
         except ConvergenceError as failure:
             again = fits_any_mesh(self.guess) and 2 * (len(mesh) - 1) <= self.limits.intervals
             if again and not self.out_of_time():  # a path on a coarse mesh may be far from any on a finer one
                 with suppress(ConvergenceError):
-                    return self.solve(self.method, halved(joints), self.guess)
+                    return self.solve(self.method, halved(mesh), self.guess)
             raise self.stopped(str(failure), *self.best) from failure
 
-    def path_tol(self, detail: HigherDegree) -> float:
+    def shortest(self, mesh: np.ndarray) -> np.ndarray:
+        """Twice the length that a mesh of a user may have, since intervals may be halved."""
+        return np.full(len(mesh) - 1, 2 * SHORTEST * np.ptp(mesh))
+
+    def path_tol(self, detail: TwoComparisons) -> float:
         """Error of the path to aim at: larger where only the cost counts, whose error is of the order of its square."""
         if not self.of_cost:
             return self.tol
-        return max(self.tol, detail.change * float(np.sqrt(self.tol / detail.cost_error)))
+        return max(self.tol, detail.change * float(np.sqrt(self.tol / detail.errors[0])))
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
         """Report the error reached; where the cost alone is within `tol`, as with a singular arc, report that."""
-        known = self.known
-        if known is not None and known.unseen_step > self.tol:
-            hint = f"At t = {known.path.between_points.unseen_steps.times[np.argmax(known.unseen_steps)]:.6g} {STEP}"
-        elif known is not None and known.jump_error > self.tol:
-            i, t = int(np.argmax(known.jump_effects)), known.path.t
-            when = f"t = {np.mean(t[i : i + 2]):.6g}"
-            hint = f"A callable is not smooth in time near {when}, or changes there too fast for this mesh"
-            hint += ": name that time in the breakpoints"
-        elif level.unseen_change > self.tol * level.cost_size:
-            hint = UNITS
         if self.cost_known <= self.tol:
             words = f"the cost is known to {self.cost_known:.0e}, which is all that cost_tol asks for"
             reason += f" (only the path changes: {words})"
@@ -304,7 +239,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
-        self.known, self.cost_known, self.left_open, self.open_levels = None, math.inf, False, 0
+        self.known, self.cost_known = None, math.inf
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -24,15 +23,14 @@ from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.continuous_controls import continuous_controls
-from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives, refuse_values, undefined
 from casadi_galerkin.control.graph import ControlGraph
-from casadi_galerkin.control.higher_degree import from_near, perturbed, raised
 from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import first_found
+from casadi_galerkin.control.two_comparisons import compared, from_near
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
 from casadi_galerkin.functional.constrained_motion import check_points, off_constraint, tangent_at_joints
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
@@ -50,7 +48,6 @@ from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 WILD = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
 UNMOVED = 1e-5  # part of the largest terms on the straight line below which those of a component do not count
 SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
-PERTURBATIONS = 1e-3, 0.0  # with which a path of higher degree is begun, where no tolerance tells one
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
 
@@ -395,9 +392,13 @@ def transcribed_control(
 
 
 def estimated_errors(solver: Solver, path: ControlTrajectory) -> tuple[float, float]:
-    """Errors of the cost and of a path, from a path of higher degree on its mesh; infinite where there is none."""
-    transcription = transcribed_control(path.problem, raised(path.method), None, path.t, one_by_one)
-    for size in PERTURBATIONS:
-        with suppress(ConvergenceError):
-            return HigherDegree(path, transcription.solve(guess=perturbed(path, size), solver=from_near(solver))).errors
-    return math.inf, math.inf
+    """Errors of the cost and of a path, from two paths of higher degree; infinite where one of these is not found."""
+
+    def solved(method: Galerkin, mesh: np.ndarray) -> ControlTrajectory:
+        transcription = transcribed_control(path.problem, method, None, mesh, one_by_one)
+        return transcription.solve(guess=path, solver=from_near(solver, path))
+
+    try:
+        return compared(path, solved).errors
+    except ConvergenceError:
+        return math.inf, math.inf

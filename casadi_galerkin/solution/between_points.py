@@ -21,6 +21,7 @@ from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.hamiltonian import Steps, integrand, jumps_in_time, may_step, moving_phases, unseen_steps
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -60,15 +61,6 @@ class BetweenPoints:
         momentum, rate = at_places(equations_of_motion(self.problem), times, x, v, u, pushes)
         shape = len(x), -1, len(parts)
         return momentum.reshape(shape), rate.reshape(shape)
-
-    def force_change(self, when: float, control: int, before: float, after: float) -> np.ndarray:
-        """Change of the forces at a time as a control changes from one value to another; (d,)."""
-        times = np.full(2, when)
-        pushes = np.empty((0, 2)) if self.problem.constraint is None else self.path.multipliers(times)
-        sides = self.control(times)
-        sides[control] = before, after
-        given = times, self.path(times), self.path(times, 1), sides, pushes
-        return np.diff(at_places(equations_of_motion(self.problem), *given)[1])[:, 0]
 
     def _impulses(self, rule: Quadrature) -> np.ndarray:
         """Integrals of the forces over every interval by a rule; (d, N)."""
@@ -112,14 +104,30 @@ class BetweenPoints:
         excess = bound_excess(u, low, high) / width[:, None]
         return excess.max(axis=0).reshape(len(self.path.t) - 1, -1).max(axis=1)
 
-    @cached_property
+    @property
     def constraint_excess(self) -> np.ndarray:
         """As in `ControlTrajectory`."""
+        return np.max(self._relative_excess, axis=0)
+
+    @property
+    def position_excess(self) -> np.ndarray:
+        """The same without path constraints that depend on velocities or controls, which may jump; (N,)."""
+        constraint = self.problem.path_constraint[0]
+        fixed = [
+            ~rows_that_depend(constraint, k, np.ones(constraint.numel_in(k), dtype=bool))
+            for k in (VELOCITIES, CONTROLS)
+        ]
+        return np.max(
+            self._relative_excess[np.append(np.all(fixed, axis=0), np.ones(len(self.path.x), dtype=bool))], axis=0
+        )
+
+    @cached_property
+    def _relative_excess(self) -> np.ndarray:
+        """Excess of path constraints and positions as parts of the size of the path by which it is off, (k + d, N)."""
         excess = self.path_excess(self._samples)[1]
         outside = bound_excess(self.path.polynomial.values_at_parts(self._samples), *self.problem.position_bounds)
         of_positions = np.max(outside, axis=2) / self.path.sizes[:, None]
-        relative = np.vstack((np.max(excess, axis=2) / self.constraint_changes, of_positions))
-        return np.minimum(np.max(relative, axis=0), 1.0)
+        return np.minimum(np.vstack((np.max(excess, axis=2) / self.constraint_changes, of_positions)), 1.0)
 
     @property
     def _samples(self) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The loop of every refinement: estimate the error, stop, or solve on a better mesh.
 
-The error estimate and the better mesh are defined by the subclasses in `boundary` and `control`; the loop, its limits
-and its report are here.
+The loop, its limits and its report are here.  The folders `boundary` and `control` bring the rest: a solve, a witness
+of the error, and a rule for the next mesh.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
@@ -21,8 +22,15 @@ from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 
+CROWDED = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
+# distance over the duration within which a breakpoint may be the cause of an error that stays
+BREAKPOINT_DISTANCE = 1e-2
 FRUITFUL = 0.9  # ratio of an error to the smallest before below which its level has come nearer
 HINT = "Try a looser tolerance, a guess nearer to the path, or higher limits"
+NOT_SMOOTH = (
+    "Either L is not smooth there: name that time in the breakpoints of the problem, or smooth a step in x, as by "
+    "tanh. Or the path passes through a singularity: give a guess that leads around it"
+)
 NO_NEARER = (
     "Try another tolerance, looser or tighter, breakpoints where controls switch, more intervals to begin with, or a "
     "guess nearer to the path"
@@ -67,8 +75,10 @@ class Refinement(ABC, Generic[Level, Detail]):
     fruitless: int
     reported = 0  # iterations that have been printed
 
-    def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
-        self.tol, self.limits, self.verbose = tol, limits, verbose
+    def __init__(
+        self, tol: float, method: Galerkin, breakpoints: tuple[float, ...], limits: Limits, verbose: int
+    ) -> None:
+        self.tol, self.method, self.breakpoints, self.limits, self.verbose = tol, method, breakpoints, limits, verbose
         self.began = time.perf_counter()
         self.deadline = self.began + limits.seconds
 
@@ -82,16 +92,35 @@ class Refinement(ABC, Generic[Level, Detail]):
         """Estimate the error of the path of a level."""
 
     @abstractmethod
-    def improve(self, level: Level, estimate: Estimate[Detail]) -> Level:
-        """Solve on a better mesh."""
+    def better_mesh(self, level: Level, estimate: Estimate[Detail]) -> np.ndarray:
+        """Joints of the next level."""
 
     @abstractmethod
-    def path(self, level: Level, error: float) -> Path:
+    def solve_on(self, mesh: np.ndarray, level: Level) -> Level:
+        """Solve on the next mesh, from what is known since the last level."""
+
+    @abstractmethod
+    def shortest(self, mesh: np.ndarray) -> np.ndarray:
+        """Lengths that intervals of a mesh must exceed, (N,) or for all."""
+
+    @abstractmethod
+    def answer(self, level: Level, error: float) -> Path:
         """The path of a level, to be attached to the error where the refinement is stopped."""
 
     @abstractmethod
     def solved(self, level: Level) -> tuple[PiecewisePolynomial, float]:
         """The path of one level, and the residual that the solver has left."""
+
+    def not_smooth(self, when: float, duration: float) -> str:
+        """Say why the error near a time may not fall."""
+        rule = self.method.quadrature
+        beside = [time for time in self.breakpoints if abs(time - when) <= BREAKPOINT_DISTANCE * duration]
+        if beside and {0.0, 1.0}.intersection(rule.points):
+            return (
+                f"The quadrature has a point at the joint t = {beside[0]:.9g}, a breakpoint, and sees one side of a "
+                f"jump there: take gauss({len(rule)}), whose points are inside the intervals"
+            )
+        return NOT_SMOOTH
 
     def out_of_time(self) -> bool:
         """Whether the time is up."""
@@ -127,12 +156,27 @@ class Refinement(ABC, Generic[Level, Detail]):
                 if number + 1 >= self.limits.levels:
                     words = "level was" if self.limits.levels == 1 else "levels were"
                     raise self.stopped(f"{self.limits.levels:g} {words} not enough", *self.best)
+                mesh = self.better_mesh(level, estimate)
+                self.check_mesh(mesh, estimate)
                 try:
-                    level, number = self.improve(level, estimate), number + 1
+                    level, number = self.solve_on(mesh, level), number + 1
                     advance(1)
                 except ConvergenceError:
                     self.check_time()
                     raise
+
+    def check_mesh(self, mesh: np.ndarray, estimate: Estimate[Detail]) -> None:
+        """Stop where a mesh has too many intervals, or one that is too short."""
+        steps, duration = np.diff(mesh), mesh[-1] - mesh[0]
+        excess = steps / self.shortest(mesh)
+        i, few = int(np.argmin(excess)), len(steps) <= self.limits.intervals
+        if few and excess[i] > 1:
+            return
+        needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
+        crowded = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], duration)}"
+        source = f"estimated from {estimate.source}{crowded if steps[i] < CROWDED * duration else ''}"
+        reason = f"the mesh would need {needs} for an error of {estimate.error:.1e}, {source}"
+        raise self.stopped(reason, *self.best)
 
     def check_time(self) -> None:
         """Stop where the time is up."""
@@ -144,7 +188,7 @@ class Refinement(ABC, Generic[Level, Detail]):
 
         Where times are so far from zero that their rounding may be the cause, it says so.
         """
-        path = self.path(level, error)
+        path = self.answer(level, error)
         latest, duration = float(np.max(np.abs(path.t))), float(np.ptp(path.t))
         if latest > duration and EPS * latest > self.tol * duration:
             hint = f"Times near {latest:.1e} are rounded by {EPS * latest:.0e}: count them from the start"

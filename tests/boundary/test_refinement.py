@@ -242,13 +242,13 @@ def test_the_time_is_looked_at_in_every_iteration():
 def test_the_time_may_be_up_on_a_later_level(monkeypatch):
     """Newton's method from the last path stops, and what is attached is that path, with its error."""
     exact = cg.solve(BY_NAME["Troesch 10"].problem, tol=1e-10)
-    improve = BoundaryRefinement.improve
+    solve_on = BoundaryRefinement.solve_on
 
-    def late(refinement, level, estimate):
+    def late(refinement, mesh, level):
         refinement.deadline = refinement.graphs.deadline = 0.0
-        return improve(refinement, level, estimate)
+        return solve_on(refinement, mesh, level)
 
-    monkeypatch.setattr(BoundaryRefinement, "improve", late)
+    monkeypatch.setattr(BoundaryRefinement, "solve_on", late)
     with pytest.raises(cg.LimitReached, match=r"60 seconds have passed. The best path has \d+ intervals") as caught:
         cg.solve(BY_NAME["Troesch 10"].problem, tol=1e-9, limits=cg.Limits(seconds=60))
     best = caught.value.path

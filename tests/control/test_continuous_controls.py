@@ -12,7 +12,6 @@ from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.continuous_controls import continuous_controls
-from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.solution.control_path import ControlPath
 
 WEIGHT = 0.3
@@ -115,13 +114,12 @@ def test_an_angle_stays_within_its_bounds():
 
 
 @pytest.mark.slow
-def test_what_controls_miss_between_the_points_is_an_error_of_the_path():
+def test_the_misfit_tells_how_far_a_flight_with_controls_misses():
     path = arrived(1e-6)
     wrong = scrambled(path)
     assert path.control_misfit.sum() <= 1e-6
     missed = np.max(np.abs(flown(wrong) - [2, 1, 0, 0]))
-    assert wrong.control_misfit.sum() > missed / 20
-    assert HigherDegree(wrong, wrong).error >= wrong.control_misfit.sum() > 0.1
+    assert wrong.control_misfit.sum() > max(missed / 20, 0.1)
 
 
 def test_the_misfit_is_of_the_order_of_the_method():

@@ -9,7 +9,6 @@ import pytest
 from control_problems import (
     FRACTIONS,
     cart_pole,
-    cartesian_pendulum,
     double_integrator,
     first_order,
     minimum_time,
@@ -25,6 +24,8 @@ from slow import slow
 import casadi_galerkin as cg
 from casadi_galerkin.control.refinement import ControlRefinement, fits_any_mesh
 from casadi_galerkin.control.transcription import ControlTranscription
+
+ROUNDED = 1e-12  # of a cost: IPOPT's tolerance
 
 
 def late_start(velocity=-0.3):
@@ -232,7 +233,7 @@ def test_a_mesh_for_the_cost_alone_does_not_resolve_a_singular_arc():
 
 
 @pytest.mark.parametrize("asked", ["tol", "cost_tol"])
-def test_the_hamiltonian_tells_what_both_degrees_miss(asked):
+def test_a_control_that_jumps_where_the_speed_limit_is_met_is_seen(asked):
     """Where the speed limit is met the control jumps; here degrees 6 and 8 agree to 1e-12 on a time 3e-6 too short."""
     problem = double_integrator(
         end=[1.5],
@@ -251,7 +252,7 @@ def test_the_hamiltonian_tells_what_both_degrees_miss(asked):
 @pytest.mark.parametrize("asked", [{"tol": 1e-7}, {"cost_tol": 1e-9}], ids=str)
 @pytest.mark.parametrize("stated", ["control_bounds", "path_constraint"])
 def test_a_bound_of_the_control_that_no_point_meets_is_seen(stated, asked):
-    """It acts in the first thousandth; both degrees passed it there, and agreed to 1e-11 on a path 9e-7 away."""
+    """It acts in the first thousandth; degrees 8 and 10 on the same mesh agreed to 1e-11 on a path 9e-7 away."""
     most, law = 6 - 12e-3, (lambda t, x, v, u: u, -np.inf, 6 - 12e-3)
     problem = double_integrator(**{stated: (-np.inf, most) if stated == "control_bounds" else law})
     path = cg.solve(problem, **asked)
@@ -259,7 +260,8 @@ def test_a_bound_of_the_control_that_no_point_meets_is_seen(stated, asked):
     slope, t = 2 * most / (1 - s) ** 2, path.t
     cost = most**2 * s / 2 + (most**3 + (slope * (1 - s) - most) ** 3) / (6 * slope)
     way = most * t**2 / 2 - slope * np.maximum(t - s, 0) ** 3 / 6
-    assert abs(path.cost / cost - 1) <= 2 * path.cost_error <= 2e-9
+    assert abs(path.cost / cost - 1) <= 2 * path.cost_error + ROUNDED
+    assert path.cost_error <= 1e-9
     assert np.max(np.abs(path.x[0] - way)) <= 2 * path.error_estimate
     assert len(path.t) < 20
 
@@ -307,18 +309,10 @@ def test_a_cost_that_is_zero_is_told_at_once(name, tol):
     assert path.morse_index == 0
 
 
-def test_costs_of_two_different_paths_tell_nothing(monkeypatch):
-    """A mass goes from pole to pole of its circle between two nodes, where nothing holds it, and at no cost."""
-    monkeypatch.setattr("casadi_galerkin.functional.constrained_motion.LARGEST_VIOLATION", 1.0)  # where that is refused
-    with pytest.raises(cg.LimitReached, match="1 level was not enough") as caught:
-        cg.solve(cartesian_pendulum(), cost_tol=1e-3, limits=cg.Limits(levels=1))
-    assert caught.value.path.cost_error > 1
-
-
 def test_a_mesh_with_too_short_an_interval_is_a_limit(monkeypatch):
     """It was told in words for the joints of a user."""
     monkeypatch.setattr("casadi_galerkin.control.refinement.SHORTEST", 1e-2)
-    with pytest.raises(cg.LimitReached, match=r"the mesh would need an interval near 0\.01 of the duration"):
+    with pytest.raises(cg.LimitReached, match=r"the mesh would need intervals of \d.*, estimated from degree"):
         cg.solve(late_start(), tol=1e-6)
 
 
@@ -343,19 +337,11 @@ def with_price(price):
     return double_integrator(running_cost=lambda t, x, v, u: price * u[0] ** 2, control_bounds=(-5.0, 5.0))
 
 
-def test_the_solver_is_asked_to_leave_less_where_what_it_left_of_the_cost_counts(capsys):
-    path, alike = cg.solve(with_price(5e-10), tol=1e-5, verbose=1), cg.solve(with_price(1.0), tol=1e-8)
-    assert abs(path.cost / alike.cost / 5e-10 - 1) <= path.cost_error <= path.error_estimate <= 1e-5
-    assert "\n      1 " in capsys.readouterr().out  # the first level was not accepted
-
-
-def test_a_cost_too_small_for_the_solver_ends_a_refinement_soon(capsys):
-    units = "take units in which cost, lengths, times and masses are near one"
-    with pytest.raises(cg.LimitReached, match=f"may have left .* of the cost.* tolerances are absolute: {units}"):
-        cg.solve(with_price(5e-14), tol=1e-5, verbose=1)
-    assert len(capsys.readouterr().out.splitlines()) == 3
-    with pytest.raises(cg.LimitReached, match=f"1 level was not enough.*{units}"):
-        cg.solve(with_price(5e-14), tol=1e-5, limits=cg.Limits(levels=1))
+@pytest.mark.parametrize("price", [5e-10, 5e-14, 1e6])
+def test_the_unit_of_the_cost_changes_nothing(price):
+    """The solver's tolerances are absolute: from an earlier path a small cost is measured in its own size."""
+    path, alike = cg.solve(with_price(price), tol=1e-5), cg.solve(with_price(1.0), tol=1e-8)
+    assert abs(path.cost / alike.cost / price - 1) <= path.cost_error <= path.error_estimate <= 1e-5
 
 
 def test_lines_of_the_levels(capsys):
@@ -368,9 +354,9 @@ def test_lines_of_the_levels(capsys):
 
 
 def test_lines_of_the_solver_of_all_levels(capfd):
-    """IPOPT prints past Python: one exit for each of two degrees."""
+    """IPOPT prints past Python: one exit for each of three paths."""
     cg.solve(double_integrator(), tol=1e-4, verbose=2)
-    assert capfd.readouterr().out.count("EXIT: Optimal Solution Found.") == 2
+    assert capfd.readouterr().out.count("EXIT: Optimal Solution Found.") == 3
 
 
 LIMITS = {
@@ -393,7 +379,7 @@ def test_best_path_is_attached_when_a_limit_is_reached(name):
 def test_levels_that_go_round_in_circles_are_ended(monkeypatch):
     estimate, errors = ControlRefinement.estimate, iter([3e-2, 2e-2, 4e-2, 1e-2, *[2e-2, 3e-2, 4e-2] * 5])
     monkeypatch.setattr(ControlRefinement, "estimate", lambda *args: replace(estimate(*args), error=next(errors)))
-    monkeypatch.setattr(ControlRefinement, "improve", lambda self, level, estimate: level)
+    monkeypatch.setattr(ControlRefinement, "solve_on", lambda self, mesh, level: level)
     with pytest.raises(
         cg.LimitReached, match=r"15 levels in a row came no nearer.* error of 1.0e-02.*looser or tighter"
     ):
@@ -490,13 +476,13 @@ def test_a_level_that_fails_is_tried_on_a_finer_mesh(monkeypatch, failing):
 
     def once(self, method, mesh, guess):
         levels.append((method.degree, len(mesh) - 1))
-        if len(levels) == (2 if failing == "the estimate" else 3):
+        if len(levels) == (2 if failing == "the estimate" else 4):
             raise cg.ConvergenceError("made to fail")
         return solve(self, method, mesh, guess)
 
     monkeypatch.setattr(ControlRefinement, "solve", once)
     path = cg.solve(cart_pole(), tol=1e-4)
-    (degree, count), (next_degree, next_count) = levels[1:3] if failing == "the estimate" else levels[2:4]
+    (degree, count), (next_degree, next_count) = levels[1:3] if failing == "the estimate" else levels[3:5]
     assert next_count == 2 * count
     assert next_degree == (degree - 2 if failing == "the estimate" else degree)
     assert true_error(path, *resolved(cart_pole)) <= 1e-4

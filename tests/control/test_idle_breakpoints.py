@@ -11,7 +11,7 @@ from scipy.optimize import brentq, fsolve
 from slow import slow
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.phases import with_joined_phases
+from casadi_galerkin.control.idle_breakpoints import with_joined_phases
 
 IPOPTS = 1e-11  # of a cost, which rounding keeps IPOPT from
 

@@ -2,17 +2,19 @@
 
 Where a breakpoint with a free time has neither a waypoint nor a jump, its time is not determined.  As an unknown it
 could take any value and would move all joints beside it.  The discrete cost is then lowest where a control switches
-between two points and exceeds its bounds there, below the true cost.  A refinement puts joints at switches itself, and
-these become the breakpoints of its solution.
+between two points and exceeds its bounds there, below the true cost.  So a refinement puts joints at the switches that
+it finds, and these become the breakpoints of its solution.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
-from casadi_galerkin.control.switching import switches
+from casadi_galerkin.calculus.piecewise_polynomial import times_at
+from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times, with_values
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -48,7 +50,7 @@ def with_parted_phases(path: ControlTrajectory, problem: ControlProblem) -> Cont
     for k in free[::-1]:
         shortest, longest = phases[k]
         earliest[k], latest[k] = earliest[k + 1] - longest, latest[k + 1] - shortest
-    switched = np.array([switch.joint for switch in switches(path)])
+    switched = path.t[np.unique([np.argmin(np.abs(path.t - when)) for when in switch_times(path)]).astype(int)]
     for k in free:
         shortest, longest = phases[k - 1]
         first, last = max(earliest[k], times[k - 1] + shortest), min(latest[k], times[k - 1] + longest)
@@ -56,3 +58,24 @@ def with_parted_phases(path: ControlTrajectory, problem: ControlProblem) -> Cont
         near = next(filter(len, allowed), np.array([first]))
         times[k] = near[np.argmin(np.abs(near - times[k]))]
     return replace(path, problem=problem.found(path.problem.t_span, path.parameters, tuple(times[1:-1].tolist())))
+
+
+def switch_times(path: ControlTrajectory) -> np.ndarray:
+    """Times at which controls jump from one of their bounds to the other, increasing.
+
+    The value at a quadrature point between the two gives the time within the share of time that the point represents.
+    """
+    low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
+    u, ends = path.control.values, np.append(0.0, np.cumsum(path.method.quadrature.weights)).clip(0, 1)
+    slack = AT_BOUND * np.max(np.abs(u), axis=1, keepdims=True, initial=0.0)
+    side = (u >= high - slack).astype(int) - (u <= low + slack)
+    begins, lasts = times_at(path.t, ends[:-1]), np.outer(np.diff(path.t), np.diff(ends)).ravel()
+    found = list[float]()
+    for values, at in zip(u, side, strict=True):
+        bounded = np.flatnonzero(at)
+        for a, b in pairwise(bounded):
+            if at[a] != at[b] and b - a <= 2:
+                inner = slice(a + 1, b)
+                before = (values[inner] - values[b]) / (values[a] - values[b])
+                found.append(float(begins[a] + lasts[a] + lasts[inner] @ before))
+    return np.unique(found)

@@ -1,0 +1,176 @@
+"""The errors of an optimal path, and a better mesh, from two other paths of two degrees more.
+
+One is on the same mesh.  The other is on an interlaced one: every joint t gives way to two, at a distance of `SHIFT` of
+the shorter interval beside it.  Wherever a control switches or meets a bound, a constraint is touched or a callable
+jumps, the three paths see it at different places between different points, and differ by about the error of the first.
+Joints that have to stay, at the ends and at breakpoints, get another one close by, at `CLOSE` of the interval: what
+happens beside them is seen by no other point.  The errors are `SAFETY` times the larger differences of x, of the
+durations and of the cost.
+
+The better mesh makes the part of both paths that degree m leaves out equally large on all intervals.  It is estimated
+from the decay of their Legendre coefficients, and scaled to the error.  Where the coefficients do not fall, something
+switches or bends inside, and the interval is split as for a method of order 2: so meshes are graded towards the place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadi_galerkin.calculus.cached_property import cached_property
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import FEWEST, legendre_coefficients, parts_wanted, spread_over
+from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_at
+from casadi_galerkin.calculus.quadrature import gauss, lobatto
+from casadi_galerkin.calculus.roundoff import EPS, TINY
+from casadi_galerkin.control.optimizer import ACCEPTABLE, NEGLIGIBLE_MOMENTUM
+from casadi_galerkin.problems.problem import map_times, section_times
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.guess import FAR_FROM_GUESS
+from casadi_galerkin.solvers.solver import Solver, ipopt
+
+HIGHER = 2  # degrees added; one adds nothing to a path of the other parity
+SAFETY = 2.0  # errors over differences; on 44 paths with bends, touches and switches none was larger than twice these
+SHIFT = 0.31  # distance of new joints from an old one, over the shorter interval beside it
+CLOSE = 0.05  # the same for an old joint that stays
+UNSMOOTH = 0.25  # ratio of the last two Legendre coefficients to the two before from which a path is not smooth
+KINK_ORDER = 2  # of the error where it is not: a jump of the acceleration inside a step h changes x by the order of h²
+LEAST_PARTS, MOST_PARTS = 0.25, 4.0  # parts that an interval becomes at once
+INSIDE = 1e-9  # fraction of an interval beside its ends, where a path may jump, that is left out of a difference
+WARM_BARRIER = 1e-4  # first barrier of IPOPT from an earlier path: with 1e-2 a robot arm left its path, and found none
+# Ratio of IPOPT's tolerance to its last barrier.  The barrier keeps values off bounds to which little pushes them, such
+# as controls on the short intervals beside a switch: with IPOPT's own 10, the mass of a rocket was known to 3e-7 only.
+BARRIER_RATIO = 1e4
+
+
+def raised(method: Galerkin) -> Galerkin:
+    """The method with `HIGHER` more degrees and quadrature points: Lobatto's where this has one at 0, else Gauss's."""
+    rule = lobatto if method.quadrature.points[0] == 0 else gauss
+    return Galerkin(method.degree + HIGHER, quadrature=rule(len(method.quadrature) + HIGHER))
+
+
+def from_near(solver: Solver, path: ControlTrajectory, accepted: float = 0.0) -> Solver:
+    """The solver from an earlier path, with other options where it has none of its own.
+
+    IPOPT's tolerances are absolute: a small cost is measured in its own size.
+
+    Parameters
+    ----------
+    solver : ipopt or fatrop
+    path : where it begins
+    accepted : slopes of the cost, relative to its size, at which IPOPT may stop if it is larger than what it aims at
+    """
+    options = {"mu_init": WARM_BARRIER, "barrier_tol_factor": BARRIER_RATIO}
+    if solver.name == ipopt.name:
+        options["acceptable_tol"] = max(ACCEPTABLE, accepted)
+        options["acceptable_constr_viol_tol"] = ACCEPTABLE
+        options["obj_scaling_factor"] = 1 / path.cost_size if 0 < path.cost_size < 1 else 1.0
+    return replace(solver, options={**options, **solver.options})
+
+
+def interlaced(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> np.ndarray:
+    """The mesh with two joints in place of each, and one more on either side of those that stay."""
+    steps, stays = np.diff(mesh), np.isin(mesh, [mesh[0], *breakpoints, mesh[-1]])
+    apart = SHIFT * np.minimum(np.append(np.inf, steps), np.append(steps, np.inf))
+    before = mesh[1:] - np.where(stays[1:], CLOSE * steps, apart[1:])
+    after = mesh[:-1] + np.where(stays[:-1], CLOSE * steps, apart[:-1])
+    return np.sort(np.concatenate((mesh[stays], before, after)))
+
+
+@dataclass(frozen=True)
+class TwoComparisons:
+    """A path, two others of higher degree, and what they differ by.
+
+    Attributes
+    ----------
+    path : of degree m
+    same, better : of degree m + 2, on the same mesh and on the interlaced one
+    """
+
+    path: ControlTrajectory
+    same: ControlTrajectory
+    better: ControlTrajectory
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Relative errors of the cost, and of all: of cost, durations and x.
+
+        Both are at least what positions exceed their bounds by between the points, and the rounding of times.  What the
+        solver leaves is added.
+        """
+        path = self.path
+        excess = float(np.max(path.between_points.position_excess))
+        rounding = 0.0 if path.problem.autonomous else EPS * float(np.max(np.abs(path.t)) / np.ptp(path.t))
+        of_cost = 0.0 if self.no_cost else path.unseen_change / path.cost_size
+        of_path = max(of_cost, path.solver_error)
+        return max(self.cost_error, excess, rounding) + of_cost, max(self.change, excess, rounding) + of_path
+
+    @property
+    def no_cost(self) -> bool:
+        """Whether the costs cannot be told from zero."""
+        paths = self.path, self.same, self.better
+        of_forces = max(p.between_points.cost_of_forces for p in paths)
+        return max(abs(p.cost) for p in paths) <= NEGLIGIBLE_MOMENTUM * of_forces
+
+    @cached_property
+    def cost_error(self) -> float:
+        """Relative error of the cost, or of the path where paths are far apart, whose costs may agree by chance."""
+        paths = self.path, self.same, self.better
+        if self.no_cost:
+            return 0.0
+        change = SAFETY * max(abs(p.cost - self.path.cost) for p in paths) / max(p.cost_size for p in paths)
+        return max(change, self.distance) if self.distance > FAR_FROM_GUESS else change
+
+    @property
+    def change(self) -> float:
+        """Relative error of cost, durations and x by the two comparisons alone."""
+        return max(self.cost_error, self.distance)
+
+    @cached_property
+    def distance(self) -> float:
+        """Relative error of durations, and of x at the same fractions of phases."""
+        return SAFETY * max(_distance(self.path, other) for other in (self.same, self.better))
+
+    def mesh(self, tol: float, joints: Iterable[float] = ()) -> np.ndarray:
+        """Joints in the time of the better path, some of them given, with which x should be known to `tol`."""
+        mesh, degree = self.better.t, self.path.method.degree
+        fixed = tuple(sorted({*self.better.problem.breakpoints, *joints}))
+        errors, smooth = beyond_degree(self.better)
+        errors *= self.change / max(np.max(errors), TINY)
+        parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
+        parts = np.maximum(parts, parts_wanted(self.better.between_points.position_excess, KINK_ORDER, tol))
+        cumulated = np.append(0.0, np.cumsum(np.clip(parts, LEAST_PARTS, MOST_PARTS)))
+        shares = np.diff(np.interp([mesh[0], *fixed, mesh[-1]], mesh, cumulated))
+        return spread_over(mesh, cumulated, max(FEWEST, int(np.ceil(shares).sum())), fixed)
+
+
+def compared(path: ControlTrajectory, solve: Callable[[Galerkin, np.ndarray], ControlTrajectory]) -> TwoComparisons:
+    """Compare a path with those that `solve` finds with a method on a mesh; held controls have one mesh only."""
+    other = path.t if path.problem.hold else interlaced(path.t, path.problem.breakpoints)
+    method = raised(path.method)
+    return TwoComparisons(path, solve(method, path.t), solve(method, other))
+
+
+def _distance(path: ControlTrajectory, other: ControlTrajectory) -> float:
+    """Largest relative difference of durations, and of x at the same fractions of phases."""
+    marks, others = section_times(path.problem), section_times(other.problem)
+    inside = np.clip(sampling_parts(path.method.degree), INSIDE, 1 - INSIDE)
+    largest = float(np.max(np.abs(np.diff(marks) - np.diff(others)))) / np.ptp(marks)
+    for one, two, own, its in ((path, other, marks, others), (other, path, others, marks)):
+        times = times_at(one.t, inside)
+        change = np.abs(two(map_times(times, own, its)) - one(times)) / path.sizes[:, None]
+        largest = max(largest, float(np.max(change)))
+    return largest
+
+
+def beyond_degree(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
+    """The part beyond degree m of a path of degree m + 2 on each interval, and if it is smooth there; (N,) each.
+
+    It is relative to the sizes of the components.
+    """
+    coefficients = np.abs(legendre_coefficients(path.polynomial, path.sizes))
+    last, before = (np.max(coefficients[:, :, [k, k + 1]], axis=2) for k in (-2, -4))
+    worst = np.argmax(last, axis=0), np.arange(last.shape[1])
+    return last[worst], (last < UNSMOOTH * before)[worst]
