@@ -21,14 +21,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.control.idle_breakpoints import switch_times, with_joined_phases, with_parted_phases
 from casadi_galerkin.control.starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
-from casadi_galerkin.control.two_comparisons import TwoComparisons, compared, from_near
+from casadi_galerkin.control.two_comparisons import CLOSE, TwoComparisons, compared, from_near
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times
@@ -174,8 +174,9 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
             raise self.stopped(str(failure), *self.best) from failure
 
     def shortest(self, mesh: np.ndarray) -> np.ndarray:
-        """Twice the length that a mesh of a user may have, since intervals may be halved."""
-        return np.full(len(mesh) - 1, 2 * SHORTEST * np.ptp(mesh))
+        """Lengths of intervals that can still be halved, and divided for a comparison."""
+        rounded = NEAREST * np.max(np.abs(mesh)) / CLOSE
+        return np.full(len(mesh) - 1, max(2 * SHORTEST * np.ptp(mesh), rounded))
 
     def path_tol(self, detail: TwoComparisons) -> float:
         """Error of the path to aim at: larger where only the cost counts, whose error is of the order of its square."""

@@ -26,6 +26,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.control.optimizer import ACCEPTABLE, NEGLIGIBLE_MOMENTUM
+from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
@@ -64,8 +65,8 @@ def from_near(solver: Solver, path: ControlTrajectory, accepted: float = 0.0) ->
     """
     options = {"mu_init": WARM_BARRIER, "barrier_tol_factor": BARRIER_RATIO}
     if solver.name == ipopt.name:
-        options["acceptable_tol"] = max(ACCEPTABLE, accepted)
-        options["acceptable_constr_viol_tol"] = ACCEPTABLE
+        if accepted > ACCEPTABLE:
+            options |= {"acceptable_tol": accepted, "acceptable_constr_viol_tol": FEASIBLE}
         options["obj_scaling_factor"] = 1 / path.cost_size if 0 < path.cost_size < 1 else 1.0
     return replace(solver, options={**options, **solver.options})
 
