@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_basis, lagrange_values
-from casadi_galerkin.calculus.numbers import counted, read_only, real_array, spanned, whole
+from casadi_galerkin.calculus.numbers import APART, counted, read_only, real_array, spanned, whole
 from casadi_galerkin.calculus.roundoff import component_sizes
 
 FINEST = 12  # number of distances from a point, each half of the one before, at which a path is sampled
@@ -19,7 +19,7 @@ FINEST = 12  # number of distances from a point, each half of the one before, at
 def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
     """Times t as an array within the mesh; refuses one that lies outside by more than its rounding."""
     times = real_array("times", t)
-    slack = 1e-12 * (mesh[-1] - mesh[0])
+    slack = APART * (mesh[-1] - mesh[0])
     if np.any(~((times >= mesh[0] - slack) & (times <= mesh[-1] + slack))):
         raise ValueError(f"times must lie within [{mesh[0]}, {mesh[-1]}], got {t!r}")
     return np.asarray(np.clip(times, mesh[0], mesh[-1]))

@@ -39,10 +39,10 @@ from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.initial_value import trajectory
 from casadi_galerkin.stepping.shooting_residual import Shooting, Shot
 
-ITERATIONS = 50
+MOST_STEPS = 50  # of Newton's method
 MISS = EPS**0.5  # accepted miss of the end, relative to the size of the path: half of the digits
-ROUNDED = 1e3 * EPS  # rounding of a start that tends to zero, relative to what it was before
-UNDETERMINED = 1e-14  # smallest singular value of the scaled derivative from which the end depends on the start
+ZERO_START = 1e3 * EPS  # rounding of a start that tends to zero, relative to what it was before
+UNDETERMINED = 64 * EPS  # smallest singular value of the scaled derivative from which the end depends on the start
 
 
 def shoot(
@@ -203,7 +203,7 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
         remedy = "Give a guess with a better start, or solve it globally, with `solve`"
         reason = f"shooting failed: a step of the first path failed: {error}. {remedy}"
         raise ConvergenceError(reason, error.path, error.residual, error.iterations) from error
-    for iteration in range(ITERATIONS):
+    for iteration in range(MOST_STEPS):
         if np.all(np.abs(shot.miss) <= shot.floor):
             met = _met(shot, iteration)
             if _singular(_scaled(shot)[0]):
@@ -213,7 +213,7 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
         if trial is None:
             return _met(shot, iteration), iteration
         shot, start = trial
-    raise _failure(f"no convergence in {ITERATIONS} iterations", shot, ITERATIONS)
+    raise _failure(f"no convergence in {MOST_STEPS} iterations", shot, MOST_STEPS)
 
 
 def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray) -> tuple[Shot, np.ndarray] | None:
@@ -223,7 +223,7 @@ def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.nda
     velocity, damping = shooting.velocity(shot.roll), 1.0
     while damping >= smallest:
         moved = start + damping * step
-        is_zero = np.abs(moved) <= ROUNDED * np.abs(start)  # to rounding: relative to itself it would never converge
+        is_zero = np.abs(moved) <= ZERO_START * np.abs(start)  # to rounding: relative to itself it would never converge
         moved[is_zero] = 0.0
         at_rest = is_zero[len(velocity) : 2 * len(velocity)]  # the momenta, for a prediction that is zero, too
         with suppress(ConvergenceError):  # a step of the trial path has failed

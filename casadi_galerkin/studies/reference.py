@@ -35,7 +35,7 @@ from casadi_galerkin.solution.guess import check_finite_values, sampled
 from casadi_galerkin.solution.trajectory import Trajectory
 
 SAMPLES = 2000  # times at which errors are taken, and at least 4 on every interval
-FINEST, FINEST_OPTIMUM = 1e-12, 1e-8  # tolerances of references, the latter of IPOPT's answers
+TIGHT, TIGHT_OPTIMUM = 1e-12, 1e-8  # tolerances of references, the latter of optimizations
 
 AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
@@ -178,7 +178,7 @@ def finest(problem: AnyProblem, paths: Sequence[Trajectory]) -> tuple[Trajectory
         fine = on(best, 4)
     else:
         try:
-            tol = FINEST if isinstance(problem, BoundaryProblem) else FINEST_OPTIMUM
+            tol = TIGHT if isinstance(problem, BoundaryProblem) else TIGHT_OPTIMUM
             fine = solve(problem, tol=tol, guess=best)
         except LimitReached as error:
             if not isinstance(error.path, Trajectory):

@@ -14,6 +14,7 @@ from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted, finite
 from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
@@ -29,7 +30,7 @@ from casadi_galerkin.studies.reference import AnyProblem
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LEAST_ERROR = 1e-14  # errors below cannot be told from rounding
+LEAST_ERROR = 64 * EPS  # errors below cannot be told from rounding
 PLATEAU = 30.0  # errors below so many times the floor take no part in the fit of an order
 MOST_SHOWN = 40  # rows of a table; of more, only those of the front are shown
 REASON = 70  # characters of the reason of a failure in a table
