@@ -297,6 +297,7 @@ def test_a_fold_is_exact_where_the_target_is_far():
     assert branch.folds[0].parameters[0] == pytest.approx(FOLD, rel=1e-13)
 
 
+@pytest.mark.slow
 def test_a_branch_whose_paths_grow_without_bound_is_left_with_its_last_path():
     """The upper branch of Bratu's problem goes to infinity where the parameter goes to zero, where it began."""
     with pytest.raises(cg.ConvergenceError, match="grow without bound") as raised:

@@ -87,7 +87,8 @@ def test_a_guess_is_put_on_the_first_mesh_once():
     assert len(calls) == 4  # all times at once, and three of them to see whether that is what it means
 
 
-@pytest.mark.parametrize(("strength", "speed", "height"), [(101.28, 147.92, 0.878), *slow((147.5, 193.48, 1.142))])
+@pytest.mark.slow
+@pytest.mark.parametrize(("strength", "speed", "height"), [(101.28, 147.92, 0.878), (147.5, 193.48, 1.142)])
 def test_many_swings_are_found_on_a_finer_mesh_than_the_first(strength, speed, height):
     """A driven double well that swings 25 to 30 times, of which eight intervals see nothing."""
 
@@ -152,6 +153,7 @@ def test_a_layer_is_found_from_the_straight_line():
     np.testing.assert_allclose(energy, energy[0], rtol=0, atol=TOL * np.cosh(50))
 
 
+@pytest.mark.slow
 def test_a_layer_thinner_than_doubles_tell_is_no_bad_mesh(capsys):
     """Descents crowd their joints at its end; then the last way is tried, too."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cosh(5 * x[0]), (0, 1), [0.0], [18.0])
@@ -184,6 +186,7 @@ def solved_after_a_shorter_time(problem):
     return transcription.solve(t_span=problem.t_span)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solved", [partial(cg.solve, tol=1e-8), solved_after_a_shorter_time])
 def test_random_guesses_lead_to_a_path_beyond_the_fold_of_the_straight_line(solved):
     """From T = 1.7 on, the quartic oscillator in the plane has no path of index 0 or 1 between these ends."""
@@ -230,6 +233,7 @@ def test_a_shock_is_found_under_a_growing_force(parameters):
     np.testing.assert_allclose(path(outer)[0], outer + np.where(outer < 1 / 3, -7 / 6, 0.5), rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_force_that_leaves_no_path_is_refused():
     """Bratu's problem beyond its fold; the time may be up on the way to it."""
     problem = forced(1.0, 0.0, 0.0, lambda t, x, v: -4 * ca.exp(x))
