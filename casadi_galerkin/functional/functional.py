@@ -86,7 +86,6 @@ class Functional:
         self.pointwise, self.numbering, self.terms = pointwise(lagrangian, force), kept(numbering), terms
         if self.pointwise.linear:
             raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
-        self._without_force = None if force is None else (lagrangian, numbering, mapping, None, terms, given)
         self.symmetric = self.pointwise.symmetric and all(term.symmetric for term in terms)
         self._mapping = by_rows if numbering.points >= MANY else mapping
         self._shared = (4,) if lagrangian.n_in() == 4 else ()  # after t, h, x and x' the parameters
@@ -107,11 +106,6 @@ class Functional:
         """Unknowns ξ, start, end, mesh and, if there are some, parameters and given values of the terms, by name."""
         further = (*self._parameters, *self._given)
         return self._embedded.symbols | {symbol.name(): symbol for symbol in further}
-
-    @cached_property
-    def unforced(self) -> Functional | None:
-        """The same functional without its force; None where there is none."""
-        return Functional(*self._without_force) if self._without_force else None
 
     def parameters_of(self, data: Data) -> Data:
         """The parameters among the data, if there are some."""

@@ -20,7 +20,6 @@ from typing import Any, NamedTuple, TypeVar
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.functional import Functional, Parts
@@ -77,12 +76,6 @@ class Stationarity:
         self.variational = functional.symmetric and not functional.numbering.stretched
         self.linear_methods = METHODS if functional.pointwise.kinetic and functional.symmetric else METHODS[1:]
         self._workspaces = ObjectPool(lambda: Linearization(self))
-
-    @cached_property
-    def unforced(self) -> Stationarity | None:
-        """The conditions of the same functional without its force; None where there is no force."""
-        functional = self.functional.unforced
-        return None if functional is None else Stationarity(functional)
 
     @contextmanager
     def linearization(self, linear_solver: str | None = None) -> Iterator[Linearization]:
