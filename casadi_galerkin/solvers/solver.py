@@ -1,9 +1,10 @@
 """The solvers by name: each takes the stationarity conditions and a guess, and returns what was verified, or raises.
 
-`newton`, the default, is Newton's method with a line search.  Where it fails, IPOPT minimizes the action (long pendulum
-swings: 10 iterations where the stationarity conditions alone took 60 to 500), or solves the stationarity conditions, and
-Newton's method finishes from where that stopped.  At last the load is taken away that holds the guess in place (of 80
-problems of stiff springs, whose paths are many and far from the straight line, it solved 36 of the 58 that were lost).
+`newton`, the default, is Newton's method with a line search.  Where it fails, IPOPT minimizes the action (long
+pendulum swings: 10 iterations where the stationarity conditions alone took 60 to 500), or solves the stationarity
+conditions, and Newton's method finishes from where that stopped.  At last the load is taken away that holds the guess
+in place (of 80 problems of stiff springs, whose paths are many and far from the straight line, it solved 36 of the 58
+that were lost).
 """
 
 from __future__ import annotations
