@@ -120,6 +120,7 @@ def test_three_switches_are_found_to_any_tolerance(tol):
     assert abs(path.cost / duration - 1) <= max(path.cost_error, 1e-11)
 
 
+@pytest.mark.slow
 def test_obstacle_is_passed_below_at_the_exact_cost():
     tol, module = 1e-6, script("obstacle")
     path = cg.solve(module.problem(), tol=tol, guess=lambda t: [t, -0.8 * t * (1 - t)])
@@ -147,12 +148,14 @@ def test_periodic_ends_may_lie_where_a_component_turns(stiffness, drag, speed, p
     assert len(path.t) == 9
 
 
+@pytest.mark.slow
 def test_times_that_are_rounded_too_much_are_told():
     late = double_integrator(t_span=(1.7e9, 1.7e9 + 2), running_cost=lambda t, x, v, u: u**2 + (x - ca.sin(t)) ** 2)
     with pytest.raises(cg.LimitReached, match=r"Times near 1.7e\+09 are rounded by 4e-07: count them from the start"):
         cg.solve(late, tol=1e-8, limits=cg.Limits(seconds=20))
 
 
+@pytest.mark.slow
 def test_a_path_left_open_on_a_coarse_mesh_may_be_known_on_a_finer_one():
     """Least time with a speed limit at the points: on the first meshes controls alternate along it."""
     drive = double_integrator(
@@ -216,6 +219,7 @@ def test_tolerance_of_the_cost_alone_bounds_its_error_with_less_work(name, tol):
     assert f"{path.cost_error:.1e} of the cost, {path.error_estimate:.1e} of the path" in repr(path)
 
 
+@pytest.mark.slow
 def test_a_mesh_for_the_cost_alone_does_not_resolve_a_singular_arc():
     """Two catalysts are mixed over twelve hours; a mesh for as small an error of the path has 500 intervals at once."""
     mixing = cg.ControlProblem(
@@ -376,6 +380,7 @@ def test_best_path_is_attached_when_a_limit_is_reached(name):
     assert cg.solve(cart_pole(), tol=1e-3, guess=best).error_estimate <= 1e-3
 
 
+@pytest.mark.slow
 def test_levels_that_go_round_in_circles_are_ended(monkeypatch):
     estimate, errors = ControlRefinement.estimate, iter([3e-2, 2e-2, 4e-2, 1e-2, *[2e-2, 3e-2, 4e-2] * 5])
     monkeypatch.setattr(ControlRefinement, "estimate", lambda *args: replace(estimate(*args), error=next(errors)))
@@ -402,6 +407,7 @@ def test_many_switches_are_found_to_a_loose_tolerance(waves):
     assert cg.solve(push, cost_tol=1e-3).cost == pytest.approx(exact, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_flight_of_many_switches_is_resolved():
     """A drone through three gates, nearly in the least time: meshes of about as many intervals came no nearer."""
     mass, inertia, arm, gravity = 1.0, 0.1, 0.3, 9.81
@@ -583,7 +589,8 @@ def test_times_with_values_are_a_guess_for_any_mesh_and_values_alone_are_not(gue
     assert fits_any_mesh(guess) is fits
 
 
-@pytest.mark.parametrize("wall", [0.05, *slow(0.02)])
+@pytest.mark.slow
+@pytest.mark.parametrize("wall", [0.05, 0.02])
 def test_a_path_along_a_wall_that_hardly_pushes_it_is_as_in_closed_form(wall):
     """IPOPT's own last barrier kept it 1e-5 off the wall, at a cost of 1e-12 (Bryson and Ho, section 3.11)."""
     problem = double_integrator(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, wall))
