@@ -13,8 +13,6 @@ from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_basi
 from casadi_galerkin.calculus.numbers import APART, counted, read_only, real_array, spanned, whole
 from casadi_galerkin.calculus.roundoff import component_sizes
 
-FINEST = 12  # number of distances from a point, each half of the one before, at which a path is sampled
-
 
 def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
     """Times t as an array within the mesh; refuses one that lies outside by more than its rounding."""
@@ -30,43 +28,9 @@ def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
     return (mesh[:-1, None] + (mesh[1:] - mesh[:-1])[:, None] * parts).ravel()
 
 
-def _parabolas(values: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places, counted in samples, and values at the vertices of parabolas through three samples each, see `extrema`.
-
-    Where a vertex is beyond the three, it is the sample itself.
-    """
-    inner = np.clip(near, 1, values.shape[2] - 2)
-    before, here, after = (np.take_along_axis(values, inner[:, :, None] + k, axis=2)[:, :, 0] for k in (-1, 0, 1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shift = (before - after) / (2 * (before - 2 * here + after))
-    within = np.abs(shift) <= 1
-    own = np.take_along_axis(values, near[:, :, None], axis=2)[:, :, 0]
-    return np.where(within, inner + shift, near), np.where(within, here + (after - before) * shift / 4, own)
-
-
-def extrema(values: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Places, counted in samples, of the extrema of sampled values (n, N, K) near some samples (n, N), by parabolas."""
-    return _parabolas(values, near)[0]
-
-
-def extreme_values(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest of sampled values (n, N, K), and of the parabolas through these and their neighbors; (n, N)."""
-    least, largest = (_parabolas(values, number(values, axis=2))[1] for number in (np.argmin, np.argmax))
-    return np.minimum(np.min(values, axis=2), least), np.maximum(np.max(values, axis=2), largest)
-
-
 def sampling_parts(degree: int) -> np.ndarray:
     """Fractions of an interval, 0 and 1 among them, at which something of this degree is sampled between its nodes."""
     return np.linspace(0.0, 1.0, 4 * degree + 1)
-
-
-def around(points: np.ndarray) -> np.ndarray:
-    """Fractions of an interval at distances of all sizes from some points.
-
-    How wide the part is in which a path exceeds a bound beside a point, or bends beside a joint, is not known before.
-    """
-    distances = 0.5 ** np.arange(1, FINEST + 1)
-    return np.unique(np.clip(np.add.outer(points, np.append(-distances, distances)), 0.0, 1.0))
 
 
 @lru_cache(64)
@@ -161,26 +125,6 @@ class PiecewisePolynomial:
         """Times (N K,), values and derivatives (d, N K) at these fractions (K,) of one interval after the other."""
         values, derivatives = (a.reshape(len(a), -1) for a in self.at_parts(parts))
         return times_at(self.mesh, parts), values, derivatives
-
-    def extremes(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest values on every interval, (d, N) each, from samples at increasing fractions of it.
-
-        Beside the extreme samples a step of Newton's method leads to where the slope vanishes.
-        """
-        sampled, local, slope = self.values_at_parts(parts), self.local, differentiation_matrix(self.nodes)
-
-        def own(at: np.ndarray, nu: int = 0) -> np.ndarray:
-            """Of every component the value, or derivative, at its own fractions of the intervals, (d, N)."""
-            basis = lagrange_values(self.nodes, at.ravel()) @ np.linalg.matrix_power(slope, nu)
-            return np.sum(local * basis.reshape(local.shape), axis=2)
-
-        def beside(k: np.ndarray) -> np.ndarray:
-            slopes, bends = own(parts[k], 1), own(parts[k], 2)
-            away = np.divide(slopes, bends, out=np.zeros(k.shape), where=bends != 0)
-            return own(np.clip(parts[k] - away, parts[np.maximum(k - 1, 0)], parts[np.minimum(k + 1, len(parts) - 1)]))
-
-        least, largest = (beside(number(sampled, axis=2)) for number in (np.argmin, np.argmax))
-        return np.minimum(np.min(sampled, axis=2), least), np.maximum(np.max(sampled, axis=2), largest)
 
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Node values (d, N m' + 1) on the same mesh with other nodes; without times, whose rounding would count."""

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extrema, sampling_parts
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.functional.constrained_motion import equations_of_motion
@@ -166,7 +166,7 @@ class BetweenPoints:
         constraint = with_parameters(self.problem.path_constraint[0], self.path.parameters)
         derivative, path, joints = ca.jacobian(constraint(t, *z), ca.vertcat(*z)), self.path, self.path.t
         sizes = np.concatenate((path.sizes, component_sizes(path(joints, 1)), component_sizes(self.control.values)))
-        times = joints[:-1] + np.diff(joints) * extrema(values, np.argmax(excess, axis=2)) / (values.shape[2] - 1)
+        times = joints[:-1] + np.diff(joints) * np.argmax(excess, axis=2) / (values.shape[2] - 1)
         terms = ca.Function("terms", [t, *z], [ca.densify(ca.mtimes(ca.fabs(derivative), sizes))])
         flat, each = times.ravel(), np.arange(len(times))
         (found,) = at_places(terms, flat, path(flat), path(flat, 1), self.control(flat))

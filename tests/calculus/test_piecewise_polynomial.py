@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extreme_values
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 
 
 def test_derivative_at_a_joint_is_the_right_one_and_at_the_last_the_left_one():
@@ -77,23 +77,6 @@ def test_a_jump_has_a_value_on_either_side():
     assert (first(0.5)[0], first(1.0)[0]) == (0.25, 1.0)
 
 
-def test_extreme_values_lie_between_samples():
-    """(t - 0.3)² on [0, 1], and sin on ten intervals, whose extremes at π/2 and 3π/2 are on no sample."""
-    parts, nodes = np.array([0.0, 0.5, 1.0]), np.linspace(0.0, 1.0, 5)
-    values = (np.array([[[0.0, 0.5, 1.0]]]) - 0.3) ** 2
-    np.testing.assert_allclose(extreme_values(values), [[[0.0]], [[0.49]]], atol=1e-16)
-    assert extreme_values(np.array([[[0.0, 1.0, 3.0]]])) == ([[0.0]], [[3.0]])  # the vertex is outside
-    bowl = PiecewisePolynomial(np.array([0.0, 1.0]), parts, values[0])
-    np.testing.assert_allclose(bowl.extremes(parts), [[[0.0]], [[0.49]]], atol=1e-15)
-    mesh = np.linspace(0.1, 6.2, 11)
-    wave = PiecewisePolynomial(mesh, nodes, np.sin([PiecewisePolynomial(mesh, nodes, np.zeros((1, 41))).node_times]))
-    least, largest = wave.extremes(nodes)
-    fine = wave.values_at_parts(np.linspace(0.0, 1.0, 2001))
-    np.testing.assert_allclose(least, fine.min(axis=2), atol=1e-7)
-    np.testing.assert_allclose(largest, fine.max(axis=2), atol=1e-7)
-    assert np.max(wave.values_at_parts(nodes)) < np.max(largest) - 1e-4
-
-
 def test_a_continuous_path_has_no_jumps():
     path = PiecewisePolynomial(np.array([0.0, 1.0, 3.0]), np.array([0.0, 1.0]), np.array([[0.0, 2.0, 0.0]]))
     assert path.jumps.size == 0
@@ -105,11 +88,3 @@ def test_values_may_be_lists_and_must_fit_the_mesh():
     for values in ([[1.0, 2.0, 3.0]], [1.0, 2.0]):
         with pytest.raises(ValueError, match=r"values at the nodes must have the shape \(d, 2\), got \("):
             PiecewisePolynomial(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array(values))
-
-
-def test_extremes_before_a_jump_are_those_of_the_interval_before_it():
-    mesh, nodes = np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0])
-    jumping = PiecewisePolynomial(mesh, nodes, np.array([[0.0, 5.0, 6.0]]), np.array([[1.0, 6.0]]))
-    least, largest = jumping.extremes(np.linspace(0, 1, 5))
-    assert least.tolist() == [[0.0, 5.0]]
-    assert largest.tolist() == [[1.0, 6.0]]
