@@ -32,7 +32,7 @@ from casadi_galerkin.control.two_comparisons import CLOSE, TwoComparisons, compa
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits
@@ -156,6 +156,10 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         It is within the phases of the problem.
         """
         detail = estimate.detail
+        if detail is not None and detail.unseen_step ** (2 if self.of_cost else 1) > max(self.tol, detail.change):
+            steps = detail.path.between_points.unseen_steps
+            hint = f"At t = {steps.times[np.argmax(steps.sizes)]:.6g} {STEP}"
+            raise self.stopped("no mesh takes away the error of a step", *self.best, hint)
         if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
             return self.scaled(halved(level.t), level)
         idle = len(self.stated.breakpoints) > len(self.breakpoints)

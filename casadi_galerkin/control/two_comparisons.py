@@ -98,30 +98,35 @@ class TwoComparisons:
     def errors(self) -> tuple[float, float]:
         """Relative errors of the cost, and of all: of cost, durations and x.
 
-        Both are at least what positions exceed their bounds by between the points, and the rounding of times.  What the
-        solver leaves is added.
+        Both are at least what positions exceed their bounds by between the points, the effect of jumps in time, and the
+        rounding of times; a step that no derivative shows is an error of the path.  What the solver leaves is added.
         """
-        path = self.path
-        excess = float(np.max(path.between_points.position_excess))
-        rounding = 0.0 if path.problem.autonomous else EPS * float(np.max(np.abs(path.t)) / np.ptp(path.t))
-        of_cost = 0.0 if self.no_cost else path.unseen_change / path.cost_size
+        path, between = self.path, self.path.between_points
+        rounding = 0.0 if path.problem.autonomous else EPS * np.max(np.abs(path.t)) / np.ptp(path.t)
+        least = float(max(np.max(between.position_excess), self.of_cost(np.sum(between.jump_effects)), rounding))
+        of_cost = self.of_cost(path.unseen_change)
         of_path = max(of_cost, path.solver_error)
-        return max(self.cost_error, excess, rounding) + of_cost, max(self.change, excess, rounding) + of_path
+        return max(self.cost_error, least, self.unseen_step**2) + of_cost, max(
+            self.change, least, self.unseen_step
+        ) + of_path
 
-    @property
-    def no_cost(self) -> bool:
-        """Whether the costs cannot be told from zero."""
+    @cached_property
+    def unseen_step(self) -> float:
+        """Largest step of the integrand that no derivative shows, times duration over cost."""
+        return self.of_cost(np.max(self.path.between_points.unseen_steps.sizes) * np.ptp(self.path.t))
+
+    def of_cost(self, change: float) -> float:
+        """A change of the cost relative to its size; zero where the costs cannot be told from zero."""
         paths = self.path, self.same, self.better
         of_forces = max(p.between_points.cost_of_forces for p in paths)
-        return max(abs(p.cost) for p in paths) <= NEGLIGIBLE_MOMENTUM * of_forces
+        if max(abs(p.cost) for p in paths) <= NEGLIGIBLE_MOMENTUM * of_forces:
+            return 0.0
+        return float(change / max(p.cost_size for p in paths))
 
     @cached_property
     def cost_error(self) -> float:
         """Relative error of the cost, or of the path where paths are far apart, whose costs may agree by chance."""
-        paths = self.path, self.same, self.better
-        if self.no_cost:
-            return 0.0
-        change = SAFETY * max(abs(p.cost - self.path.cost) for p in paths) / max(p.cost_size for p in paths)
+        change = SAFETY * self.of_cost(max(abs(p.cost - self.path.cost) for p in (self.same, self.better)))
         return max(change, self.distance) if self.distance > FAR_FROM_GUESS else change
 
     @property
@@ -136,12 +141,13 @@ class TwoComparisons:
 
     def mesh(self, tol: float, joints: Iterable[float] = ()) -> np.ndarray:
         """Joints in the time of the better path, some of them given, with which x should be known to `tol`."""
-        mesh, degree = self.better.t, self.path.method.degree
+        mesh, degree, between = self.better.t, self.path.method.degree, self.better.between_points
         fixed = tuple(sorted({*self.better.problem.breakpoints, *joints}))
         errors, smooth = beyond_degree(self.better)
         errors *= self.change / max(np.max(errors), TINY)
         parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
-        parts = np.maximum(parts, parts_wanted(self.better.between_points.position_excess, KINK_ORDER, tol))
+        parts = np.maximum(parts, parts_wanted(between.position_excess, KINK_ORDER, tol))
+        parts = np.maximum(parts, parts_wanted(self.of_cost(1.0) * between.jump_effects, 1, tol))
         cumulated = np.append(0.0, np.cumsum(np.clip(parts, LEAST_PARTS, MOST_PARTS)))
         shares = np.diff(np.interp([mesh[0], *fixed, mesh[-1]], mesh, cumulated))
         return spread_over(mesh, cumulated, max(FEWEST, int(np.ceil(shares).sum())), fixed)
