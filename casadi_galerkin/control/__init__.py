@@ -4,7 +4,7 @@ The cost is the quadrature of ℓ(t, x, v, u), the controls are values at the qu
 chooses all of them.  `chain` numbers the unknowns and the equations; `embedding`, `pointwise` and `graph` make the
 nonlinear program with its derivatives, and `program_bounds` its bounds and what violates them; `optimizer` solves it,
 and `continuous_controls` chooses among controls that act alike; `second_order` estimates how far from the optimum that
-may be and tells minima from saddles, and `failure_report` reports failures.  `transcription` combines all this and
+may be and tells minima from saddles, and `failed_optimization` reports failures.  `transcription` combines all this and
 starts from a guess, which `initial_guess` reads; `starts` tries other guesses, too.  `control_function` is the same as
 one CasADi Function.  `refinement` meets a tolerance by `two_comparisons`, and leaves `idle_breakpoints`
 out.

@@ -23,7 +23,7 @@ from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.continuous_controls import continuous_controls
-from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives, refuse_values, undefined
+from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_derivatives, refuse_values, undefined
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
@@ -292,7 +292,7 @@ class ControlTranscription:
         wild = guess is not None and near is None  # or noisy; the straight line is not
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
-            refuse_values(problem, self.graph.embedding, values)
+            refuse_values(problem, self.graph, values, calculus.mesh)
         largest = report.sizes.copy()
         if wild:
             straight = first_values(problem, chain, calculus, None, None)

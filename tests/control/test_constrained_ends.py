@@ -108,7 +108,7 @@ def test_what_is_given_at_the_start_is_checked_where_the_duration_is_free(make, 
 def test_a_constraint_that_is_not_finite_at_the_guess_is_named():
     """Its logarithm is not defined on the straight line between the ends, which passes too near to the center."""
     inside = on_circle(constraint=lambda t, x: ca.log(2.2 * ca.dot(x, x) - 1.2))
-    with pytest.raises(ValueError, match=r"constraint is not finite at the guess: .* at t = 0\."):
+    with pytest.raises(ValueError, match=r"constraint 0 is not finite at the guess, at t = 0\."):
         cg.solve(inside, METHOD, INTERVALS)
     assert cg.solve(inside, METHOD, INTERVALS, guess=quarter).cost == pytest.approx(
         cg.solve(on_circle(), METHOD, INTERVALS, guess=quarter).cost, rel=1e-9

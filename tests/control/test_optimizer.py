@@ -18,7 +18,7 @@ NOT_FINITE = {
     "end": ({"terminal_cost": lambda t, x, v: ca.sqrt(-x[0])}, "terminal_cost .* at t = 1"),
     "condition": (
         {"end": [None], "end_conditions": (lambda x0, v0, x1, v1: ca.log(x1 - 2), 0, 0)},
-        "end_conditions .* at t = 1",
+        "end condition 0 .* at t = 1",
     ),
     "rate": (
         {

@@ -5,18 +5,19 @@ Of a solver's last point they name what is violated worst, and when.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain, located
-from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
-from casadi_galerkin.functional.buffers import interrupts_raised
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -42,19 +43,29 @@ HINTS = {
 }
 OTHER_HINT = "Try a guess of path and controls, such as the answer on fewer intervals, or more intervals"
 UNBOUNDED = "; the cost may have no lower bound"
-KINK_HINTS = {  # by operations on controls in the running cost
-    (ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE): (
-        "The running cost holds fmax, fmin or a comparison of a control, and its derivative may jump there: replace "
-        "fmax(a, b) by a further control e, and add e - a >= 0 and e - b >= 0 as path_constraint"
+COMPARISONS = ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE
+SMOOTH = (
+    "holds fabs, fmax, fmin or a comparison of positions or velocities, and its derivative may jump there: smooth it, "
+    "as sqrt(z**2 + 1e-6) does fabs(z)"
+)
+KINKS = (  # a cost, operations within it, on which of its arguments, and what to do
+    (
+        "running_cost",
+        COMPARISONS,
+        [CONTROLS],
+        "holds fmax, fmin or a comparison of a control, and its derivative may jump there: replace fmax(a, b) by a "
+        "further control e, and add e - a >= 0 and e - b >= 0 as path_constraint",
     ),
-    (ca.OP_SQRT,): (
-        "The running cost holds a root or norm of controls, whose derivative jumps where that is zero: a small number "
-        "under the root keeps it smooth, as in sqrt(sumsqr(u) + 1e-4) for u near one; then a smaller one, with "
-        "that answer as guess"
+    (
+        "running_cost",
+        (ca.OP_SQRT,),
+        [CONTROLS],
+        "holds a root or norm of controls, whose derivative jumps where that is zero: a small number under the root "
+        "keeps it smooth, as in sqrt(sumsqr(u) + 1e-4) for u near one; then a smaller one, with that answer as guess",
     ),
-}
-
-BENT = ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE  # operations on positions and velocities
+    ("running_cost", (ca.OP_FABS, *COMPARISONS), [POSITIONS, VELOCITIES], SMOOTH),
+    ("terminal_cost", (ca.OP_FABS, *COMPARISONS), [POSITIONS, VELOCITIES], SMOOTH),
+)
 
 
 def explained(
@@ -91,59 +102,33 @@ def explained(
 
 def kink_hint(problem: ControlProblem) -> str | None:
     """What to do about a cost whose derivative may jump, if it may."""
-    for kind, words in KINK_HINTS.items():
-        if entries_within(problem.running_cost, CONTROLS, kind):
-            return words
-    for name, cost in (("running cost", problem.running_cost), ("terminal cost", problem.terminal_cost)):
-        if cost is not None and any(entries_within(cost, argument, BENT) for argument in (POSITIONS, VELOCITIES)):
-            return (
-                f"The {name} holds fabs, fmax, fmin or a comparison of positions or velocities, and its derivative may "
-                "jump there: smooth it, as sqrt(z**2 + 1e-6) does fabs(z)"
-            )
+    for name, operations, arguments, words in KINKS:
+        cost = getattr(problem, name)
+        if cost is not None and any(entries_within(cost, argument, operations) for argument in arguments):
+            return f"The {name.replace('_', ' ')} {words}"
     return None
 
 
-def refuse_values(problem: ControlProblem, embedding: ChainEmbedding, values: dict[str, np.ndarray]) -> None:
-    """Name the first callable that is not finite at the guess."""
-    chain, points = embedding.chain, embedding.points
-    seen = (embedding.matrix @ np.concatenate(chain.pack(values))).full().ravel()
+def refuse_values(
+    problem: ControlProblem, graph: ControlGraph, values: dict[str, np.ndarray], mesh: np.ndarray
+) -> None:
+    """Name what is not finite at the guess: a callable along the path, or else an equation or the cost."""
+    chain, points = graph.chain, graph.embedding.points
+    known = chain.pack(values)
+    seen = (graph.embedding.matrix @ np.concatenate(known)).full().ravel()
     at = {name: seen[points.row(name)].T for name in points.rows}
-    times, end = at["begin"] + at["duration"] * at["share"], values["begin"] + np.sum(values["durations"])
-    state = [times, at["x"], at["slope"] / (at["duration"] * at["part"])]
+    times, v = (at["begin"] + at["duration"] * at["share"]).ravel(), at["slope"] / (at["duration"] * at["part"])
     p = [] if problem.parameters is None else [values["parameters"]]
-    inputs, rest = [*state, at["controls"], *p], np.zeros(chain.dimension - chain.mechanical)
-    first, last = (
-        [values["x"][i], np.append(values[f"{name}_velocity"], rest)] for i, name in ((0, "start"), (-1, "end"))
-    )
-    before = zip(problem.crossings, values["nodes"][chain.crossed - 1, -1], values["velocity"], strict=True)
-    for name, function, arguments, when in (
-        ("running_cost", problem.running_cost, inputs, times),
-        ("force", problem.force, inputs, times),
-        ("rates", problem.rates, inputs, times),
-        ("path_constraint", problem.path_constraint[0], inputs, times),
-        ("constraint", problem.constraint, [times, at["x"], *p], times),
-        ("lagrangian", problem.lagrangian, [*state, *p], times),
-        ("terminal_cost", problem.terminal_cost, [end, *last, *p], end),
-        *(
-            (name, function, [x, np.append(v, rest), *p], np.array(crossing.time))
-            for crossing, x, v in before
-            for name, function in crossing.functions
-        ),
-        ("end_conditions", problem.end_conditions[0], [*first, *last, *p], end),
-    ):
-        try:
-            with interrupts_raised():
-                found = ca.DM(0, 1) if function is None else ca.vertcat(*function.call(arguments))
-        except RuntimeError as error:
-            reason = f"{name} calls a casadi Function that fails at the guess. Give a guess that avoids it"
-            raise ValueError(reason) from error
-        wrong = ~np.isfinite(np.array(found)).all(axis=0)
-        if np.any(wrong):
-            k = int(np.argmax(wrong))
-            raise ValueError(
-                f"{name} is not finite at the guess: {np.array(found)[:, k]} at t = {when.ravel()[k]:.6g}. "
-                "Give a guess that avoids it"
-            )
+    found = _undefined_at(problem, times, at["x"], v, at["controls"], p)
+    if found is None:
+        wrong = np.flatnonzero(~np.isfinite(graph.report(*known).equations))
+        name, place = located(chain.equation_stages, wrong[0]) if wrong.size else ("terminal_cost", chain.intervals)
+        when, failure = np.interp(place, np.arange(chain.intervals + 1), mesh), None
+    else:
+        name, k, _, failure = found
+        when = times[k]
+    what = "is not finite" if failure is None else "calls a casadi Function that fails"
+    raise ValueError(f"{name} {what} at the guess, at t = {when:.6g}. Give a guess that avoids it") from failure
 
 
 def undefined(
@@ -156,7 +141,20 @@ def undefined(
         np.clip(values, *(np.reshape(side, (-1, 1)) for side in bounds))
         for values, bounds in ((x, problem.position_bounds), (control.at(parts), problem.control_bounds))
     )
-    p = () if parameters is None else (parameters,)
+    found = _undefined_at(problem, t, x, v, u, () if parameters is None else (parameters,))
+    if found is None:
+        return None
+    name, k, value, _ = found
+    return (
+        f"{name} is {value} between the points of the path at t = {t[k]:.6g}, where x = {x[:, k].tolist()}. Keep the "
+        "path away from there with position_bounds or a path_constraint, or take more intervals"
+    )
+
+
+def _undefined_at(
+    problem: ControlProblem, t: np.ndarray, x: np.ndarray, v: np.ndarray, u: np.ndarray, p: Sequence[ArrayLike]
+) -> tuple[str, int, float, RuntimeError | None] | None:
+    """The first callable that is not finite at places (rows, K), the place, the value, and why it has failed if so."""
     named = {
         "running_cost": problem.running_cost,
         "force": problem.force,
@@ -168,15 +166,11 @@ def undefined(
     if np.isfinite(total).all():
         return None
     k = int(np.argmin(np.isfinite(total[0])))
-    at = [t[k], x[:, k], v[:, k], u[:, k]]
     for name, function in named.items():
-        value = np.array(function(*at[: 3 if name == "lagrangian" else 4], *p)).ravel()
+        evaluate, place = Evaluator(function), [t[k : k + 1], x[:, k], v[:, k], u[:, k]]
+        (value,) = evaluate(*place[: 3 if name == "lagrangian" else 4], *p)
         if not np.isfinite(value).all():
-            return (
-                f"{name} is {value[~np.isfinite(value)][0]} between the points of the path at t = {t[k]:.6g}, where "
-                f"x = {x[:, k].tolist()}. Keep the path away from there with position_bounds or a path_constraint, or "
-                "take more intervals"
-            )
+            return name, k, value[~np.isfinite(value)][0], evaluate.failure
     return None  # values that are finite, and so large that their sum is not
 
 
