@@ -17,9 +17,9 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import check_verbose, whole
 from casadi_galerkin.control.control_function import control_function
-from casadi_galerkin.control.refinement import ControlRefinement, first_control_discretization
+from casadi_galerkin.control.control_refinement import ControlRefinement, first_control_discretization
+from casadi_galerkin.control.control_transcription import ControlTranscription, check_solver, transcribed_control
 from casadi_galerkin.control.starts import best_of
-from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem

@@ -15,7 +15,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import or_one
-from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.control_problem import ControlProblem
 

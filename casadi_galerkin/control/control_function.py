@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.graph import ControlGraph
+from casadi_galerkin.control.control_graph import ControlGraph
+from casadi_galerkin.control.control_numbering import Chain
+from casadi_galerkin.control.control_transcription import transcribed_control
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION
 from casadi_galerkin.control.program_bounds import bounds_of, equation_scales, given_at_ends
-from casadi_galerkin.control.transcription import transcribed_control
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.guess import Guess

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.chain import Chain, located
-from casadi_galerkin.control.graph import ControlGraph
+from casadi_galerkin.control.control_graph import ControlGraph
+from casadi_galerkin.control.control_numbering import Chain, located
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import at_places

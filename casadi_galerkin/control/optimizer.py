@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.control.graph import ControlGraph
+from casadi_galerkin.control.control_graph import ControlGraph
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.solvers.deadline import limited

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
-from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.graph import Report
+from casadi_galerkin.control.control_graph import Report
+from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
 from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.control_problem import ControlProblem

@@ -26,8 +26,8 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
-from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.graph import LEAST_COST, ControlGraph
+from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph
+from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
 from casadi_galerkin.functional.linear_equations import NO_CUTOFF
 from casadi_galerkin.functional.mapping import one_by_one

@@ -15,11 +15,11 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, t
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.solution.between_points import BetweenPoints
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
+from casadi_galerkin.solution.violations_between_points import BetweenPoints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -22,8 +22,8 @@ from scipy.optimize import fsolve, minimize_scalar
 from slow import slow
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.refinement import ControlRefinement, fits_any_mesh
-from casadi_galerkin.control.transcription import ControlTranscription
+from casadi_galerkin.control.control_refinement import ControlRefinement, fits_any_mesh
+from casadi_galerkin.control.control_transcription import ControlTranscription
 
 ROUNDED = 1e-12  # of a cost: IPOPT's tolerance
 
@@ -315,7 +315,7 @@ def test_a_cost_that_is_zero_is_told_at_once(name, tol):
 
 def test_a_mesh_with_too_short_an_interval_is_a_limit(monkeypatch):
     """It was told in words for the joints of a user."""
-    monkeypatch.setattr("casadi_galerkin.control.refinement.SHORTEST", 1e-2)
+    monkeypatch.setattr("casadi_galerkin.control.control_refinement.SHORTEST", 1e-2)
     with pytest.raises(cg.LimitReached, match=r"the mesh would need intervals of \d.*, estimated from degree"):
         cg.solve(late_start(), tol=1e-6)
 

@@ -39,7 +39,7 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.control_numbering import Chain
 
 Triplet = tuple[np.ndarray, np.ndarray, np.ndarray | float]  # rows, columns, entries, to be broadcast
 

@@ -23,7 +23,7 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.hamiltonian import Steps, integrand, jumps_in_time, may_step, moving_phases, unseen_steps
+from casadi_galerkin.solution.time_jumps import Steps, integrand, jumps_in_time, may_step, moving_phases, unseen_steps
 from casadi_galerkin.solution.trajectory import Trajectory
 
 FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval

@@ -6,7 +6,7 @@ import pytest
 from control_problems import double_integrator, varying_mass
 
 import casadi_galerkin as cg
-from casadi_galerkin.solution.hamiltonian import may_step, unseen_steps
+from casadi_galerkin.solution.time_jumps import may_step, unseen_steps
 
 WHEN = 0.749015  # no point of the first mesh lies between it and the joint at 0.75
 

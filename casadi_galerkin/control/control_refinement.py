@@ -25,9 +25,9 @@ from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.control.control_transcription import SHORTEST, transcribed_control
 from casadi_galerkin.control.idle_breakpoints import switch_times, with_joined_phases, with_parted_phases
 from casadi_galerkin.control.starts import distinct_optima, optima_of
-from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.control.two_comparisons import CLOSE, TwoComparisons, compared, from_near
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem

@@ -2,7 +2,7 @@
 
 The unknowns are those of the `Chain`: the states at the joints, and the other values of the path and the controls
 between them.  The equations are the discrete Lagrange-d'Alembert equations, and p = ∂L/∂v(t, x, v) at the two ends
-(discrete Legendre transform).  See `graph` for the derivatives.
+(discrete Legendre transform).  See `control_graph` for the derivatives.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS, or_one
-from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.continuous_controls import continuous_controls
+from casadi_galerkin.control.control_graph import ControlGraph
+from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_derivatives, refuse_values, undefined
-from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations

@@ -1,6 +1,6 @@
 """The optimization's functions and exact derivatives, as CasADi graphs; nothing is differentiated through them.
 
-With A, Ê, Θ and Λ of the `ChainEmbedding`, and at every place z_k the cost c_k and the rows e_k of `pointwise`,
+With A, Ê, Θ and Λ of the `ChainEmbedding`, and at every place z_k the cost c_k and the rows e_k of `control_terms`,
 
     cost        f  = Σ w_k c_k                    ∇f = Êᵀ [w_k ∇c_k]
     equations   G  = Θ [e_k] + Λ y                ∇G = Θ blockdiag(∇e_k) Ê + Λ
@@ -21,9 +21,9 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.roundoff import largest_of
-from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.embedding import ChainEmbedding, PlaceLayout
-from casadi_galerkin.control.pointwise import pointwise_terms
+from casadi_galerkin.control.control_embedding import ChainEmbedding, PlaceLayout
+from casadi_galerkin.control.control_numbering import Chain
+from casadi_galerkin.control.control_terms import pointwise_terms
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.problems.control_problem import ControlProblem

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.control.embedding import ChainEmbedding, PlaceLayout
+from casadi_galerkin.control.control_embedding import ChainEmbedding, PlaceLayout
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.breakpoint_events import Crossing
