@@ -34,7 +34,7 @@ LEAST_ERROR = 64 * EPS  # errors below cannot be told from rounding
 PLATEAU = 30.0  # errors below so many times the floor take no part in the fit of an order
 MOST_SHOWN = 40  # rows of a table; of more, only those of the front are shown
 REASON = 70  # characters of the reason of a failure in a table
-HEADS = ("*", "degree", "rule", "intervals", "solved by")
+HOW, WORDS = ("*", "degree", "rule", "intervals", "solved by"), ("*", "rule", "solved by")
 COSTS = ("unknowns", "first/ms", "solve/ms", "iterations")
 ERRORS = ("path", "at joints", "functional", "energy")
 RULES = {"Gauss": gauss, "Lobatto": lobatto, "Radau": radau}
@@ -255,14 +255,16 @@ class Trade(Table, Pictured):
         """
         front, named = self.front(), self.quantity is not None
         shown = self.rows if len(self.rows) <= MOST_SHOWN else front
-        table = [HEADS, *(_words(row, row in front) for row in shown)]
-        heads = "".join(f"{head:>12}" for head in [*COSTS, *(["error"] if named else []), *ERRORS])
-        numbers = [heads, *(_numbers(row, named) for row in shown)]
+        heads = [*HOW, *COSTS, *(["error"] if named else []), *ERRORS]
+        table = [heads, *(_cells(row, row in front, named) for row in shown)]
         if self.reference_errors:
-            table.append(("", "", "", "", "reference itself"))
-            numbers.append(" " * 12 * len(COSTS) + _errors(Row(**self.reference_errors), named))
-        widths = [max(len(words[k]) for words in table) for k in range(len(HEADS))]
-        lines = ["  ".join(map(str.ljust, words, widths)) + end for words, end in zip(table, numbers, strict=True)]
+            errors = _errors(Row(**self.reference_errors), named)
+            table.append(["", "", "", "", "reference itself", *[""] * len(COSTS), *errors])
+        widths = [max(len(cells[k]) for cells in table if len(cells) == len(heads)) for k in range(len(heads))]
+        lines = [
+            "  ".join(cell.ljust(width) if head in WORDS else cell.rjust(width) for cell, width, head in columns)
+            for columns in (zip(cells, widths, heads, strict=False) for cells in table)
+        ]
         lines += [f"reference: {self.reference}", "*: no other row is both faster when repeated and more accurate"]
         if named:
             lines.insert(-1, f"error: of {self.quantity}")
@@ -281,24 +283,20 @@ def _line(row: Row) -> tuple[str, str, str]:
     return f"degree {row.method.degree}", rule_of(row.method, relative=True), how
 
 
-def _words(row: Row, best: bool) -> tuple[str, ...]:
-    """What a row is, in a table."""
-    degree, rule = ("", "") if row.method is None else (row.method.degree, rule_of(row.method))
-    return "*" if best else "", f"{degree:>6}", rule, f"{row.intervals or '':>9}", row.way
-
-
-def _numbers(row: Row, named: bool) -> str:
-    """What a row has measured, or why it has not, in a table."""
+def _cells(row: Row, best: bool, named: bool) -> list[str]:
+    """A row in a table: what it is, and what it has measured, or why it has not."""
+    degree, rule = ("", "") if row.method is None else (str(row.method.degree), rule_of(row.method))
+    how = ["*" if best else "", degree, rule, str(row.intervals or ""), row.way]
     if row.failure is not None:
-        return f"  failed: {shorten(row.failure.partition('. ')[0], REASON, placeholder='…')}"
-    seconds = "".join(f"{1e3 * value:12.3f}" for value in (row.first_seconds, row.solve_seconds))
-    return f"{row.unknowns:12d}{seconds}{row.iterations:12d}{_errors(row, named)}"
+        return [*how, f"failed: {shorten(row.failure.partition('. ')[0], REASON, placeholder='…')}"]
+    seconds = [f"{1e3 * value:.3f}" for value in (row.first_seconds, row.solve_seconds)]
+    return [*how, str(row.unknowns), *seconds, str(row.iterations), *_errors(row, named)]
 
 
-def _errors(row: Row, named: bool) -> str:
+def _errors(row: Row, named: bool) -> list[str]:
     """The errors of a row, in a table."""
     errors = [row.path_error, row.joint_error, row.functional_error, row.energy_error]
-    return "".join(f"{value:12.1e}" for value in ([row.error] if named else []) + errors)
+    return [f"{value:.1e}" for value in ([row.error] if named else []) + errors]
 
 
 def rule_of(method: Galerkin, relative: bool = False) -> str:
