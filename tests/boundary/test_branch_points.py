@@ -36,6 +36,7 @@ def test_loads_at_which_a_rod_buckles_are_found_to_rounding(clamped):
         np.testing.assert_allclose(shape * np.sign(shape @ mode), mode, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_buckled_rod_is_the_elastica():
     """The load of the k-th branch is (2 k K(m))², with m = sin²(α/2) of the angle α at its ends.
 
@@ -129,6 +130,7 @@ def test_where_the_index_changes_by_two_it_is_said():
     assert "something is missed" in str(branch)
 
 
+@pytest.mark.slow
 def test_of_carriers_problem_four_paths_are_one_component():
     """They meet in one fold, and in a pitchfork on the branch of the symmetric ones."""
     carrier = cg.BoundaryProblem(

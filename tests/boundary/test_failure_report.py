@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scenes import bratu, catenoid, kepler
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -54,7 +55,7 @@ def root_by_newton(y):
     return ca.rootfinder("root", "newton", {"x": x, "p": square, "g": x**2 - square})(1, y)
 
 
-@pytest.mark.parametrize("engine", [cg.newton, cg.rootfinder, cg.ipopt])
+@pytest.mark.parametrize("engine", [cg.newton, *slow(cg.rootfinder, cg.ipopt)])
 def test_a_rootfinder_in_the_lagrangian_that_fails_at_the_guess_is_named_with_its_time(engine):
     with pytest.raises(cg.ConvergenceError, match=r"calls a casadi Function that fails at t = 0\.0563508") as caught:
         cg.solve(under_a_root(-0.5, root_by_newton), cg.Galerkin(3), 2, solver=engine)
@@ -143,6 +144,7 @@ def test_a_first_path_whose_duration_shrinks_to_nothing_does_not_keep_others_fro
     assert path.energy == pytest.approx(13252.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_path_that_runs_away_along_a_singular_direction_is_refused_without_warnings(recwarn):
     problem = cg.BoundaryProblem(
         lambda t, x, v: ca.dot(v, v) / 2 * (1 + 0.25 * ca.sin(x[0]) ** 2) - x[2],  # nothing holds x[2]
@@ -169,6 +171,7 @@ def test_a_path_through_a_place_without_a_lagrangian_ends_a_refinement_at_once()
         cg.solve(problem, tol=1e-6, limits=cg.Limits(levels=2))
 
 
+@pytest.mark.slow
 def test_a_refinement_may_begin_without_a_free_position():
     """The straight line is the only path of degree 1 on one interval; finer meshes show that there is none."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 3 * x[0] ** 4, (0, 3), [-1.0], [2.0])

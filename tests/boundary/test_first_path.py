@@ -56,10 +56,12 @@ def test_noise_does_not_hide_a_great_circle(seed):
 @pytest.mark.parametrize(
     ("potential", "duration", "start", "end"),
     [
-        (lambda x: x**4 / 4, 4.0, 0.0, 2.0),
-        (lambda x: x**4 / 4, 10.0, 1.0, -2.0),
-        (lambda x: x**2 / 2 + x**4 / 4, 8.0, -1.5, 0.5),
         (lambda x: x**4 / 4 - x**2 / 2, 2.0, 0.0, 2.0),
+        *slow(
+            (lambda x: x**4 / 4, 4.0, 0.0, 2.0),
+            (lambda x: x**4 / 4, 10.0, 1.0, -2.0),
+            (lambda x: x**2 / 2 + x**4 / 4, 8.0, -1.5, 0.5),
+        ),
     ],
 )
 def test_a_stiffening_spring_swings_between_its_ends(potential, duration, start, end):
@@ -130,7 +132,8 @@ def pendulums(count):
     return cg.BoundaryProblem(lagrangian, (0.0, 3.0), [0.0] * count, np.linspace(0.2, 1.0, count).tolist())
 
 
-@pytest.mark.parametrize("count", [12, *slow(20)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [12, 20])
 def test_a_row_of_pendulums_swings_from_the_straight_line(count):
     """Conjugate points lie between the ends: the action has no minimum that a descent could find."""
     path = cg.solve(pendulums(count), tol=TOL)
@@ -221,7 +224,7 @@ def test_a_corner_layer_is_found_under_a_growing_force(stiffness, tol):
     assert np.max(np.abs(path(times)[0] - exact(times))) <= tol * np.max(exact(times))
 
 
-@pytest.mark.parametrize("parameters", [None, [1.0]])
+@pytest.mark.parametrize("parameters", [[1.0], *slow(None)])
 def test_a_shock_is_found_under_a_growing_force(parameters):
     """Cash's test problem 30: between its ends, where x' = 1 or x = 0, it jumps from -5/6 to 5/6 at t = 1/3."""
     problem = cg.BoundaryProblem(
