@@ -130,6 +130,7 @@ def test_of_paths_that_a_symmetry_takes_to_one_another_one_is_returned(hops):
     np.testing.assert_allclose([path.action for path in folded], [path.action for path in hops][::2], rtol=1e-9, atol=0)
 
 
+@pytest.mark.slow
 def test_a_symmetry_may_take_all_paths_of_a_class_to_one():
     """With both ends free, a swing may be moved by any number of turns, turned round, and mirrored."""
     problem = cg.BoundaryProblem(pendulum, (0.0, 5.0), [None], [None])
