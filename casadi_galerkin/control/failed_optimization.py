@@ -21,7 +21,7 @@ from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import CONTROLS, POSITIONS, VELOCITIES, entries_within
+from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, VELOCITIES, entries_within
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
@@ -42,6 +42,10 @@ HINTS = {
     "Restoration Failed": NO_PATH,
 }
 OTHER_HINT = "Try a guess of path and controls, such as the answer on fewer intervals, or more intervals"
+UNDEFINED_SOMEWHERE = frozenset(
+    getattr(ca, f"OP_{name}")
+    for name in "DIV INV SQRT LOG LOG1P EXP POW CONSTPOW TAN ASIN ACOS ATANH ACOSH FMOD CALL".split()  # noqa: SIM905
+)
 UNBOUNDED = "; the cost may have no lower bound"
 COMPARISONS = ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE
 SMOOTH = (
@@ -135,6 +139,8 @@ def undefined(
     problem: ControlProblem, path: PiecewisePolynomial, control: ControlPath, parameters: tuple[float, ...] | None
 ) -> str | None:
     """Say where a callable is not finite along a path, between its nodes, with the path and its controls in bounds."""
+    if not _may_be_undefined(*_along(problem).values()):
+        return None
     parts = sampling_parts(path.degree)[1:-1]
     t, x, v = path.sampled(parts)
     x, u = (
@@ -155,13 +161,7 @@ def _undefined_at(
     problem: ControlProblem, t: np.ndarray, x: np.ndarray, v: np.ndarray, u: np.ndarray, p: Sequence[ArrayLike]
 ) -> tuple[str, int, float, RuntimeError | None] | None:
     """The first callable that is not finite at places (rows, K), the place, the value, and why it has failed if so."""
-    named = {
-        "running_cost": problem.running_cost,
-        "force": problem.force,
-        "rates": problem.rates,
-        "path_constraint": problem.path_constraint[0],
-        "lagrangian": problem.lagrangian,
-    }
+    named = _along(problem)
     (total,) = at_places(_summed(*named.values()), t, x, v, u, shared=p)
     if np.isfinite(total).all():
         return None
@@ -172,6 +172,18 @@ def _undefined_at(
         if not np.isfinite(value).all():
             return name, k, value[~np.isfinite(value)][0], evaluate.failure
     return None  # values that are finite, and so large that their sum is not
+
+
+def _along(problem: ControlProblem) -> dict[str, ca.Function]:
+    """The callables along the path, by name; the last takes no controls."""
+    named = {name: getattr(problem, name) for name in ("running_cost", "force", "rates")}
+    return {**named, "path_constraint": problem.path_constraint[0], "lagrangian": problem.lagrangian}
+
+
+@lru_cache(8)
+def _may_be_undefined(*functions: ca.Function) -> bool:
+    """Whether a Function holds an operation that is not finite for all numbers; of most none is looked at."""
+    return any(f.instruction_id(k) in UNDEFINED_SOMEWHERE for f in functions for k in range(f.n_instructions()))
 
 
 @lru_cache(8)

@@ -18,7 +18,7 @@ from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
 from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
+from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.problem import ENDS
 
 LEAST_SIZE = EPS / FEASIBLE  # size of terms, over that of what they are part of, from which their rounding is feasible

@@ -35,7 +35,7 @@ from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
-from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
+from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.problem import END_MOTIONS
 

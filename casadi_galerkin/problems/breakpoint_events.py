@@ -13,7 +13,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted, finite, number
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, within_rounding
 from casadi_galerkin.problems.callables import Traceable, trace
-from casadi_galerkin.problems.statements import Made, Reader, lengths, limited
+from casadi_galerkin.problems.statements import Made, Reader, dimension, lengths, limited
 
 Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
 Waypoint: TypeAlias = tuple[float, Positions | tuple[Traceable, Limit, Limit]]
@@ -98,23 +98,21 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
 
 def _law(law: Any, made: Made) -> ca.Function:
     """A jump as a Function (x, v[, p]) -> x after, v after; v after is zero where x follows a rate."""
-    sizes = lengths("x v", made)
+    sizes, d = lengths("x v", made), dimension(made)
     if not callable(law):
         raise TypeError(f"jump must be a callable of ({', '.join(sizes)}), got {law!r}")
 
-    def half(k: int) -> ca.Function:
-        @wraps(law)
-        def taken(*arguments: ca.SX) -> Any:
-            after = law(*arguments)
-            if not isinstance(after, (tuple, list)) or len(after) != 2:
-                raise TypeError(f"it must return a pair: x and v after the jump, got {after!r}")
-            return after[k]
+    @wraps(law)
+    def after(*arguments: ca.SX) -> Any:
+        sides = law(*arguments)
+        if not isinstance(sides, (tuple, list)) or len(sides) != 2:
+            raise TypeError(f"it must return a pair: x and v after the jump, got {sides!r}")
+        return ca.vertcat(*(ca.vertcat(*side) if isinstance(side, (tuple, list)) else side for side in sides))
 
-        return trace("jump", taken, sizes, sizes["x"])
-
-    symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
-    position, velocity = (half(k)(*symbols) for k in (0, 1))
-    velocity[sizes["x"] - made["rates"].numel_out(0) :] = 0.0
+    traced = trace("jump", after, sizes, 2 * d)
+    symbols = traced.sx_in()
+    position, velocity = ca.vertsplit(traced(*symbols), d)
+    velocity[d - made["rates"].numel_out(0) :] = 0.0
     return ca.Function("jump", symbols, [position, velocity], list(sizes), ["x_after", "v_after"])
 
 

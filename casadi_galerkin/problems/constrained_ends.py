@@ -11,8 +11,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.cancellation import sizes_of_terms
-from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
+from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend, sizes_of_terms
 
 CONSTRAINT_TOLERANCE = 1e-12  # accepted violation by a given position or velocity, relative to the terms of g
 
@@ -77,8 +76,7 @@ def constraint_at_ends(problem: Any) -> Iterator[str]:
 def leaving_velocity(problem: Any) -> Iterator[str]:
     """A velocity that is given at a given position leaves a constraint: G v + ∂g/∂t must be zero.
 
-    The accepted rounding of a velocity is relative to its own size, or to that of the position over the duration if it
-    is larger: a velocity so small moves the path by no more than the rounding of its position.
+    Up to rounding of the largest velocity, or of the largest length over the duration where that is larger.
     """
     for name, when, x, known in places(problem):
         of = "velocity" if name == "position" else f"{name}_velocity"
@@ -86,15 +84,13 @@ def leaving_velocity(problem: Any) -> Iterator[str]:
         if v is None or None in (*x, *v):
             continue
         function = with_parameters(problem.constraint, problem.parameters)
-        time, place = function.sx_in()
-        velocity, value = ca.SX.sym("v", place.numel()), function(time, place)
-        rate = ca.jtimes(value, place, velocity) + ca.jacobian(value, time)
+        (time, place), velocity = function.sx_in(), ca.SX.sym("v", len(v))
+        rate = ca.jtimes(function(time, place), place, velocity) + ca.jacobian(function(time, place), time)
         rates, _, slopes = (np.array(a) for a in relative_residuals(rate, [time, place, velocity])(when, x, v))
-        lengths = np.abs(np.array(x, dtype=float))
-        sizes = np.concatenate(([abs(when)], lengths, np.fmax(np.abs(v), lengths / np.ptp(problem.t_span))))
-        excess = np.where(known, np.abs(rates[:, 0]) - CONSTRAINT_TOLERANCE * np.abs(slopes) @ sizes, 0.0)
-        if np.any(excess > 0):
-            i = int(np.argmax(excess))
+        length, d = np.abs(np.array(x, dtype=float)).max(), len(v)
+        sizes = [abs(when), *[length] * d, *[max(np.abs(v).max(), length / np.ptp(problem.t_span))] * d]
+        missed = np.abs(rates[:, 0]) > CONSTRAINT_TOLERANCE * np.abs(slopes) @ sizes
+        for i in np.flatnonzero(known & missed).tolist():
             yield (
                 f"{of} must be tangent to the constraint at x = {list(x)}, got {list(v)}: the rate of constraint[{i}] "
                 f"is {rates[i, 0]:g}"

@@ -24,8 +24,8 @@ from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, with
 from casadi_galerkin.problems.breakpoint_events import Crossing, Pairs, Waypoint, is_limited, jumps, waypoints
 from casadi_galerkin.problems.callables import Traceable, depends_on_time, is_of_nothing, of_nothing, trace
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
-from casadi_galerkin.problems.dependence import rows_that_depend
 from casadi_galerkin.problems.end_limits import conditions_at_ends
+from casadi_galerkin.problems.expressions import rows_that_depend
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import with_changes, with_values
 from casadi_galerkin.problems.statements import (

@@ -10,9 +10,9 @@ import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, or_one
-from casadi_galerkin.problems.bounds import FEASIBLE, Limited, within_rounding
+from casadi_galerkin.problems.bounds import FEASIBLE, Limited
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
-from casadi_galerkin.problems.dependence import (
+from casadi_galerkin.problems.expressions import (
     CONTROLS,
     POSITIONS,
     VELOCITIES,
@@ -76,19 +76,18 @@ def _impulses(problem: Any) -> Iterator[str]:
     depends on it, as in least time; where all paths cost the same, any path is one.  What a path constraint with equal
     bounds determines is not known; and held controls are no impulses.
     """
-    users, rated = (
-        [problem.running_cost, problem.path_constraint[0]],
-        np.arange(problem.dimension) >= problem.mechanical,
-    )
+    users = [problem.running_cost, problem.path_constraint[0]]
     costs = any(entries_of(problem.running_cost, k) for k in (POSITIONS, VELOCITIES))
     to_gain = costs or problem.terminal_cost is not None or problem.duration_bounds is not None
-    if problem.hold or not to_gain or np.equal(*problem.path_constraint[1:]).any():
-        return
     by_x, by_v, by_u = (
         np.any(np.vstack([pattern(user, k) for user in users]), axis=0) for k in (POSITIONS, VELOCITIES, CONTROLS)
     )
+    limited = by_u | np.isfinite(problem.control_bounds).any(axis=0)
+    if problem.hold or limited.all() or not to_gain or np.equal(*problem.path_constraint[1:]).any():
+        return
+    rated = np.arange(problem.dimension) >= problem.mechanical
     drives = np.vstack([pattern(rule, CONTROLS) for rule in (problem.force, problem.rates)])
-    limited = by_u | np.isfinite(problem.control_bounds).any(axis=0) | (drives & (rated & by_v)[:, None]).any(axis=0)
+    limited |= (drives & (rated & by_v)[:, None]).any(axis=0)
     counts = np.where(rated, by_x | np.isfinite(problem.position_bounds).any(axis=0), by_v)
     velocities = np.array([problem.start_velocity, problem.end_velocity], dtype=float)
     given = np.isfinite(np.where(rated, problem.given_positions, velocities)).any(axis=0)
@@ -117,20 +116,12 @@ def _absolute_values(problem: Any) -> Iterator[str]:
 
 
 def _bounds_at_ends(problem: Any) -> Iterator[str]:
-    """A given end lies outside its bounds, or on one with a velocity that leaves it."""
-    (low, high), ends = problem.position_bounds, problem.given_positions
-    velocities = np.array([problem.start_velocity, problem.end_velocity], dtype=float) * [[1], [-1]]
-    beside = within_rounding(ends + np.ptp(problem.t_span) * velocities, low, high, ends[::-1])
-    for name, values, inside in zip(ENDS, ends.tolist(), beside.tolist(), strict=True):
-        for i, (value, other) in enumerate(zip(values, inside, strict=True)):
+    """A given end lies outside its bounds."""
+    low, high = problem.position_bounds
+    for name, values in zip(ENDS, problem.given_positions.tolist(), strict=True):
+        for i, value in enumerate(values):
             if value < low[i] or value > high[i]:
                 yield f"{name}[{i}] = {value} lies outside its position_bounds [{low[i]}, {high[i]}]"
-            if (value == low[i] and other < low[i]) or (value == high[i] and other > high[i]):
-                velocity = getattr(problem, f"{name}_velocity")[i]
-                yield (
-                    f"{name}[{i}] = {value} lies on its position_bounds [{low[i]}, {high[i]}], and "
-                    f"{name}_velocity[{i}] = {velocity} puts the path outside beside it"
-                )
 
 
 def _path_constraint_at_ends(problem: Any) -> Iterator[str]:
@@ -171,11 +162,8 @@ def _outside(problem: Any, limited: Limited, given: Sequence[Any]) -> Iterator[t
 
 
 def _conditions_on_free_ends(problem: Any) -> Iterator[str]:
-    """No values of the free ends, NaN of (x_0, v_0, x_N, v_N), meet all end conditions.
-
-    Equations are counted.  What is linear in a single free value is compared with the other limits of this value.
-    """
-    (g, low, high), d, ends = problem.end_conditions, problem.dimension, np.array(_ends(problem), dtype=float).ravel()
+    """More end conditions with equal bounds than the free values of (x_0, v_0, x_N, v_N), NaN, can meet."""
+    (g, low, high), ends = problem.end_conditions, np.array(_ends(problem), dtype=float).ravel()
     if not low:
         return
     uses = np.hstack([pattern(g, k) for k in range(g.n_in())])
@@ -188,24 +176,6 @@ def _conditions_on_free_ends(problem: Any) -> Iterator[str]:
             f"end_conditions with equal bounds are {count}, but only {rank} can be met by the "
             f"{counted(int(np.count_nonzero(free)), 'value')} free at the ends: leave out some, or free more with None"
         )
-    symbols, p = ca.SX.sym("ends", len(ends)), [] if problem.parameters is None else [problem.parameters]
-    values = g(*ca.vertsplit(symbols, d), *p)
-    slopes = ca.jacobian(values, symbols)
-    offsets, steps = map(np.array, ca.Function("at", [symbols], [values, slopes])(np.nan_to_num(ends)))
-    limits = np.full((2, 4, d), [[[-np.inf]], [[np.inf]]])
-    limits[:, ::2] = np.array(problem.position_bounds)[:, None]
-    least, most = limits.reshape(2, -1)
-    for i in np.flatnonzero(uses.sum(axis=1) == 1).tolist():
-        k = int(np.argmax(uses[i]))
-        if k >= len(ends) or ca.depends_on(slopes[i, k], symbols[k]):
-            continue
-        sides = sorted((side - offsets[i, 0]) / steps[i, k] for side in (low[i], high[i]))
-        least[k], most[k] = max(least[k], sides[0]), min(most[k], sides[1])
-        if least[k] - most[k] > FEASIBLE * max(abs(least[k]), abs(most[k])):
-            yield (
-                f"end condition {i} contradicts the position_bounds or another end condition: together they ask for "
-                f"{('x0', 'v0', 'x1', 'v1')[k // d]}[{k % d}] >= {least[k]:g} and <= {most[k]:g}"
-            )
 
 
 def _guesses(problem: Any) -> Iterator[str]:

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.problems.bounds import Limited
-from casadi_galerkin.problems.dependence import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
+from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 
 END = 2, 3  # numbers of the arguments x1, v1 of end conditions
 

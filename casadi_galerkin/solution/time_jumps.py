@@ -30,7 +30,7 @@ from casadi_galerkin.functional.constrained_motion import equations_of_motion
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import STEPPING, entries_within
+from casadi_galerkin.problems.expressions import STEPPING, entries_within
 from casadi_galerkin.solution.jump_detection import MARGIN, JumpDetector
 
 HALVINGS = 26  # of a share of time, which leave 1e-8 of it

@@ -28,7 +28,7 @@ import numpy as np
 from casadi_galerkin.functional.boundary_terms import rows_of_ends
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
+from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
 
 
 def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Function:

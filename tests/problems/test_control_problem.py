@@ -53,16 +53,6 @@ BADLY_STATED = {
         ValueError,
         "lo of path_constraint must not be NaN, nor inf",
     ),
-    "start that leaves its bounds": (
-        {"start_velocity": [-1.0], "position_bounds": (0, 1)},
-        ValueError,
-        r"start\[0\] = 0.0 lies on its position_bounds \[0.0, 1.0\], and start_velocity\[0\] = -1.0",
-    ),
-    "end that comes from outside": (
-        {"end_velocity": [-1.0], "position_bounds": (0, 1)},
-        ValueError,
-        r"end\[0\] = 1.0 lies on its position_bounds",
-    ),
     "nested forces": (
         {"force": lambda t, x, v, u: [[u[0]]]},
         TypeError,
@@ -153,16 +143,6 @@ BADLY_STATED = {
         {"end": [None], "end_conditions": (lambda x0, v0, x1, v1: [x1[0] ** 2, ca.sin(x1[0])], [1, 2], [1, 2])},
         ValueError,
         "end_conditions with equal bounds are 2, but only 1 can be met by the 1 value free at the ends",
-    ),
-    "conditions that contradict each other": (
-        {"end_velocity": [None], "end_conditions": (lambda x0, v0, x1, v1: [v1[0], 1 - 2 * v1[0]], [1, 0], [2, 3])},
-        ValueError,
-        r"end condition 1 contradicts .* another end condition: together they ask for v1\[0\] >= 1 and <= 0.5",
-    ),
-    "a condition that contradicts bounds": (
-        {"end": [None], "position_bounds": (-1, 0.5), "end_conditions": (lambda x0, v0, x1, v1: x1 - x0, 1, 1)},
-        ValueError,
-        r"end condition 0 contradicts the position_bounds .* they ask for x1\[0\] >= 1 and <= 0.5",
     ),
     "hold as a number": ({"hold": 1}, TypeError, "hold must be True or False, got 1"),
     "velocity of a wrong length": ({"end_velocity": [0, 0]}, ValueError, "end_velocity must have 1"),
@@ -377,8 +357,6 @@ def test_ends_that_leave_their_bounds_by_rounding_are_put_on_them(unit):
     for given in ({"end": [0.3 * (1 + 1e-14) * unit]}, {"start": [-1e-14 * unit], "end": [0.2 * unit]}):
         with pytest.raises(ValueError, match="lies outside its position_bounds"):
             between(0.0, 0.3, **given)
-    with pytest.raises(ValueError, match="puts the path outside beside it"):
-        between(0.0, 0.3, end=[0.2 * unit], start_velocity=[-1e-14 * unit])
 
 
 def test_an_end_meets_a_path_constraint_as_a_solve_leaves_it():
