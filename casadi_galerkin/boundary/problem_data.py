@@ -10,8 +10,8 @@ from itertools import chain
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import or_one
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given, is_given
-from casadi_galerkin.problems.problem import VARIED, Problem
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given
+from casadi_galerkin.problems.problem import VARIED, Problem, is_given
 
 
 def _given(problem: Problem) -> dict[str, Given]:

@@ -34,10 +34,10 @@ from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import momentum_at
-from casadi_galerkin.problems.problem import END_MOTIONS
+from casadi_galerkin.problems.problem import END_MOTIONS, is_given
 
 
 def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: PointMap) -> Functional:

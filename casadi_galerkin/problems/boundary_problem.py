@@ -8,10 +8,8 @@ with a force F, if there is one, that adds its virtual work ∫ F·δx dt.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from reprlib import repr as shown
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,15 +18,13 @@ from casadi_galerkin.calculus.numbers import components, counted, flag
 from casadi_galerkin.problems.callables import Traceable, depends_on_time
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.legendre_transform import legendre_transform, singular_mass
-from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, with_changes
+from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given
 from casadi_galerkin.problems.statements import (
-    check,
     function,
     lagrangian,
     number,
     optional,
     parameters,
-    read,
     span,
     switch,
     times,
@@ -38,141 +34,6 @@ from casadi_galerkin.problems.statements import (
 
 Given = tuple[float | None, ...]
 SAME_ENERGY = 1e-9  # relative difference of two energies below which rounding may be the cause
-
-
-@dataclass(frozen=True, repr=False)
-class BoundaryProblem:
-    """A path between two configurations that makes the action ∫ L(t, x, dx/dt) dt stationary.
-
-    Parameters
-    ----------
-    lagrangian : callable (t, x, v) or, with parameters, (t, x, v, p) -> scalar
-        t scalar, x and v CasADi vectors of shape (d,), p of shape (len(parameters),); written with CasADi functions
-    t_span : (t_0, t_N), in the unit of time of the Lagrangian; with `energy`, t_N is a guess
-    start, end : d numbers each, in the units of x; None leaves the component free, with zero momentum there
-        (natural boundary condition) unless one of the following says otherwise
-    parameters : numbers passed to all callables as p, their last argument; default none
-    periodic : whether x(t_N) = x(t_0) with equal momenta; `end` is left out.  `start` may fix components of that point,
-        whose momenta may then differ; if one component is fixed and the energy given, they do not, and the orbit must
-        cross the value of that component, not lie in it
-    force : callable (t, x, v) -> d generalized forces, that do the virtual work F·δx (Lagrange-d'Alembert)
-    constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
-    start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They
-        replace the natural condition of a component whose position is None.  Under a constraint only the tangent part
-        of a momentum counts, and velocities cannot be given
-    end_action : callable (x_0, x_N) -> scalar φ, added to the action, so that p_0 = ∂φ/∂x_0 and p_N = -∂φ/∂x_N where
-        the position is free: springs, costs of the end
-    end_conditions : callable (x_0, x_N) -> values that are zero: an end on a curve, an end that is the start rotated.
-        The momenta that go with them, across the curve, follow (transversality)
-    energy : a number, the energy p·v - L of the path; it frees the duration, and L must not depend on time.  A periodic
-        path of given energy could begin anywhere on its orbit: it begins in the plane through the start of the guess
-        and across its velocity there
-    breakpoints : increasing times inside of `t_span` where L or a force is not smooth, such as the knots of tabulated
-        data.  Every mesh has them as joints, so that the order holds between them.  Where L jumps in time, take a rule
-        without points at the ends of an interval, such as Gauss: a function of time has one value there
-
-    Raises
-    ------
-    TypeError, ValueError
-        naming what came and what was expected
-
-    Examples
-    --------
-    >>> BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0]).dimension
-    1
-    """
-
-    lagrangian: ca.Function
-    t_span: tuple[float, float]
-    start: Given
-    end: Given
-    parameters: tuple[float, ...] | None
-    periodic: bool
-    force: ca.Function | None
-    constraint: ca.Function | None
-    start_velocity: Given
-    end_velocity: Given
-    start_momentum: Given
-    end_momentum: Given
-    end_action: ca.Function | None
-    end_conditions: ca.Function | None
-    energy: float | None
-    breakpoints: tuple[float, ...]
-
-    def __init__(
-        self,
-        lagrangian: Traceable,
-        t_span: Sequence[float],
-        start: Sequence[float | None],
-        end: Sequence[float | None] | None = None,
-        *,
-        parameters: Sequence[float] | None = None,
-        periodic: bool = False,
-        force: Traceable | None = None,
-        constraint: Traceable | None = None,
-        start_velocity: Sequence[float | None] | None = None,
-        end_velocity: Sequence[float | None] | None = None,
-        start_momentum: Sequence[float | None] | None = None,
-        end_momentum: Sequence[float | None] | None = None,
-        end_action: Traceable | None = None,
-        end_conditions: Traceable | None = None,
-        energy: float | None = None,
-        breakpoints: Sequence[float] = (),
-    ) -> None:
-        if end is None and not flag("periodic", periodic):
-            size = counted(len(components("start", start)), "component")
-            raise ValueError(f"end must have {size}, got None; None is for a periodic path")
-        self.__dict__.update(read(STATEMENTS, locals()))  # the class is frozen
-        check(self, (*RULES, *RULES_OF_VALUES, singular_mass))
-
-    def __repr__(self) -> str:
-        """State the problem without its Lagrangian."""
-        said = [f"start {shown(self.start)}", "periodic" if self.periodic else f"end {shown(self.end)}"]
-        said += [f"parameters {shown(self.parameters)}"]
-        said += [f"energy {self.energy:g}"] if self.energy is not None else []
-        said += [name for name in ("force", "constraint", "end_action", "end_conditions") if getattr(self, name)]
-        said += [f"{name} {shown(getattr(self, name))}" for name in END_MOTIONS if is_given(getattr(self, name))]
-        return f"BoundaryProblem of {counted(self.dimension, 'component')} on {self.t_span}: {', '.join(said)}"
-
-    @property
-    def dimension(self) -> int:
-        """Number d of coordinates."""
-        return len(self.start)
-
-    @property
-    def given_positions(self) -> np.ndarray:
-        """Positions given at start and end, NaN where none is; those of a periodic path hold at both; (2, d)."""
-        return np.array([self.start, self.start if self.periodic else self.end], dtype=float)
-
-    @property
-    def free_phase(self) -> bool:
-        """Whether a periodic path of given energy may begin anywhere on its orbit, until a guess fixes that."""
-        return self.energy is not None and self.periodic and not is_given(self.start)
-
-    @property
-    def autonomous(self) -> bool:
-        """Whether the energy is conserved: no force acts, and neither Lagrangian nor constraint depends on time."""
-        return self.force is None and not depends_on_time(self.lagrangian, self.constraint)
-
-    def varied(self, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> BoundaryProblem:
-        """Copy with other given values.
-
-        Parameters
-        ----------
-        changes : new values by name, such as start, end or parameters: with None exactly where the problem has None;
-            None as a whole changes nothing
-        t_span : (t_0, t_N) with the breakpoints inside; default the same
-        """
-        other = with_changes(self, changes, t_span)
-        if other is not self:
-            masses = () if other.parameters == self.parameters else (singular_mass,)
-            check(other, (*RULES_OF_VALUES, *masses))
-        return other
-
-
-def is_given(value: object) -> bool:
-    """Whether anything is given: not None, nor components that are all None."""
-    return any(a is not None for a in value) if isinstance(value, tuple) else value is not None
 
 
 def _ends(problem: BoundaryProblem) -> Iterator[str]:
@@ -280,3 +141,104 @@ STATEMENTS = {
 }
 RULES = _ends, _twice_given, _functions_of_ends, impossible_constraint, _energy
 RULES_OF_VALUES = constraint_at_ends, _rest
+
+
+@dataclass(frozen=True, repr=False)
+class BoundaryProblem(Problem):
+    """A path between two configurations that makes the action ∫ L(t, x, dx/dt) dt stationary.
+
+    Parameters
+    ----------
+    lagrangian : callable (t, x, v) or, with parameters, (t, x, v, p) -> scalar
+        t scalar, x and v CasADi vectors of shape (d,), p of shape (len(parameters),); written with CasADi functions
+    t_span : (t_0, t_N), in the unit of time of the Lagrangian; with `energy`, t_N is a guess
+    start, end : d numbers each, in the units of x; None leaves the component free, with zero momentum there
+        (natural boundary condition) unless one of the following says otherwise
+    parameters : numbers passed to all callables as p, their last argument; default none
+    periodic : whether x(t_N) = x(t_0) with equal momenta; `end` is left out.  `start` may fix components of that point,
+        whose momenta may then differ; if one component is fixed and the energy given, they do not, and the orbit must
+        cross the value of that component, not lie in it
+    force : callable (t, x, v) -> d generalized forces, that do the virtual work F·δx (Lagrange-d'Alembert)
+    constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
+    start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They
+        replace the natural condition of a component whose position is None.  Under a constraint only the tangent part
+        of a momentum counts, and velocities cannot be given
+    end_action : callable (x_0, x_N) -> scalar φ, added to the action, so that p_0 = ∂φ/∂x_0 and p_N = -∂φ/∂x_N where
+        the position is free: springs, costs of the end
+    end_conditions : callable (x_0, x_N) -> values that are zero: an end on a curve, an end that is the start rotated.
+        The momenta that go with them, across the curve, follow (transversality)
+    energy : a number, the energy p·v - L of the path; it frees the duration, and L must not depend on time.  A periodic
+        path of given energy could begin anywhere on its orbit: it begins in the plane through the start of the guess
+        and across its velocity there
+    breakpoints : increasing times inside of `t_span` where L or a force is not smooth, such as the knots of tabulated
+        data.  Every mesh has them as joints, so that the order holds between them.  Where L jumps in time, take a rule
+        without points at the ends of an interval, such as Gauss: a function of time has one value there
+
+    Raises
+    ------
+    TypeError, ValueError
+        naming what came and what was expected
+
+    Examples
+    --------
+    >>> BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0]).dimension
+    1
+    """
+
+    lagrangian: ca.Function
+    t_span: tuple[float, float]
+    start: Given
+    end: Given
+    parameters: tuple[float, ...] | None
+    periodic: bool
+    force: ca.Function | None
+    constraint: ca.Function | None
+    start_velocity: Given
+    end_velocity: Given
+    start_momentum: Given
+    end_momentum: Given
+    end_action: ca.Function | None
+    end_conditions: ca.Function | None
+    energy: float | None
+    breakpoints: tuple[float, ...]
+    statements, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, RULES_OF_VALUES, (singular_mass,)
+
+    def __init__(
+        self,
+        lagrangian: Traceable,
+        t_span: Sequence[float],
+        start: Sequence[float | None],
+        end: Sequence[float | None] | None = None,
+        *,
+        parameters: Sequence[float] | None = None,
+        periodic: bool = False,
+        force: Traceable | None = None,
+        constraint: Traceable | None = None,
+        start_velocity: Sequence[float | None] | None = None,
+        end_velocity: Sequence[float | None] | None = None,
+        start_momentum: Sequence[float | None] | None = None,
+        end_momentum: Sequence[float | None] | None = None,
+        end_action: Traceable | None = None,
+        end_conditions: Traceable | None = None,
+        energy: float | None = None,
+        breakpoints: Sequence[float] = (),
+    ) -> None:
+        if end is None and not flag("periodic", periodic):
+            size = counted(len(components("start", start)), "component")
+            raise ValueError(f"end must have {size}, got None; None is for a periodic path")
+        self._state(locals())
+
+    @property
+    def given_positions(self) -> np.ndarray:
+        """Positions given at start and end, NaN where none is; those of a periodic path hold at both; (2, d)."""
+        return np.array([self.start, self.start if self.periodic else self.end], dtype=float)
+
+    @property
+    def free_phase(self) -> bool:
+        """Whether a periodic path of given energy may begin anywhere on its orbit, until a guess fixes that."""
+        return self.energy is not None and self.periodic and not is_given(self.start)
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether the energy is conserved: no force acts, and neither Lagrangian nor constraint depends on time."""
+        return self.force is None and not depends_on_time(self.lagrangian, self.constraint)

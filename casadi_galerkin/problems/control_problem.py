@@ -11,9 +11,8 @@ where z are the components of x that follow rates, and c is a holonomic constrai
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from reprlib import repr as shown
 from typing import Any
 
 import casadi as ca
@@ -24,235 +23,22 @@ from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, with
 from casadi_galerkin.problems.breakpoint_events import Crossing, Pairs, Waypoint, is_limited, jumps, waypoints
 from casadi_galerkin.problems.callables import Traceable, depends_on_time, is_of_nothing, of_nothing, trace
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
-from casadi_galerkin.problems.end_limits import conditions_at_ends
-from casadi_galerkin.problems.expressions import rows_that_depend
+from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import singular_mass
-from casadi_galerkin.problems.problem import with_changes, with_values
+from casadi_galerkin.problems.problem import Problem, with_values
 from casadi_galerkin.problems.statements import (
     Made,
-    check,
     dimension,
     function,
     lagrangian,
     lengths,
     limited,
     parameters,
-    read,
     span,
     switch,
     vector,
     within,
 )
-
-
-@dataclass(frozen=True, repr=False)
-class ControlProblem:
-    """The cheapest path of a controlled Lagrangian system between two states.
-
-    Parameters
-    ----------
-    lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`; None where all components follow rates
-    t_span : (t_0, t_N); with `duration_bounds` t_N is a guess
-    start, end : d positions each; None leaves the component free
-    start_velocity, end_velocity : d velocities each; None leaves the component free
-    force : callable (t, x, v, u) -> one generalized force for every component but the last k, see `rates`
-    running_cost : callable (t, x, v, u) -> scalar, integrated over time
-    controls : number of controls, the length of u
-    terminal_cost : callable (t, x, v) -> scalar, added to the cost with the values at the end
-    control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
-    position_bounds : (lo, hi), each a scalar or one number per component; held at the joints and the
-        control points between them.  An end beyond them by rounding is put on them
-    path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points;
-        what it asks of x and v alone also holds at the end of the path, unless `end_conditions` speak of that
-    duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
-    constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; for
-        problems without rates, jumps and waypoints that are functions
-    parameters : numbers passed as `p`, the last argument of every callable
-    parameter_bounds : (lo, hi); frees the parameters within them, `parameters` is then the guess
-    rates : callable (t, x, v, u) -> k values: the last k components of x follow dx/dt = rates instead of an equation of
-        motion, as a mass, a battery, an integral or an actuator does.  Their velocities given at the ends are None, and
-        nothing but the running cost and path constraints may depend on these velocities
-    end_conditions : (g, lo, hi) with g(x0, v0, x1, v1) -> scalar or vector of positions and velocities at both ends
-    breakpoints : increasing times inside of `t_span` that are joints of every mesh, as where a callable is not smooth
-        in time.  Where one jumps, take gauss: a function of time has one value there, and a rule with points at the
-        ends of intervals (lobatto, radau) sees one side of the jump.  With `duration_bounds` they part phases, each
-        with a free duration of its own, as between the switching times of a bang-bang control.  A tolerance finds
-        these times itself: where nothing else happens at such a breakpoint, it comes to the nearest switch
-    waypoints : (t, positions) each: a breakpoint at t, where the path has these d positions; each is a number, a pair
-        (lo, hi) that it lies within, or None.  Or (t, (g, lo, hi)) with g(x, v) -> scalar or vector within bounds there
-    jumps : (t, law) each: a breakpoint at t, where law(x, v) -> (x, v) says how the path goes on, as where a stage is
-        dropped or a ball bounces; a waypoint at that time is passed before the jump.  What it returns for the velocity
-        of a component that follows a rate is ignored.  A constant of a phase is a component of rate zero that jumps
-    hold : True for controls that are constant on every interval, as hardware holds them
-
-    Raises
-    ------
-    TypeError, ValueError
-        naming what came and what was expected
-
-    Examples
-    --------
-    >>> ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
-    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1).dimension
-    1
-    >>> ball = ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 2), [1.0], [1.0], [0.0], [0.0],
-    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1,
-    ...     waypoints=[(1.0, [0.0])], jumps=[(1.0, lambda x, v: (x, -0.8 * v))])  # a wall
-    >>> ball.breakpoints
-    (1.0,)
-    """
-
-    lagrangian: ca.Function
-    t_span: tuple[float, float]
-    start: tuple[float | None, ...]
-    end: tuple[float | None, ...]
-    start_velocity: tuple[float | None, ...]
-    end_velocity: tuple[float | None, ...]
-    force: ca.Function
-    running_cost: ca.Function
-    controls: int
-    terminal_cost: ca.Function | None
-    control_bounds: Bounds
-    position_bounds: Bounds
-    path_constraint: Limited
-    duration_bounds: Bounds | None
-    parameters: tuple[float, ...] | None
-    parameter_bounds: Bounds | None
-    rates: ca.Function
-    end_conditions: Limited
-    breakpoints: tuple[float, ...]
-    waypoints: tuple[tuple[float, Pairs | Limited], ...]
-    jumps: tuple[tuple[float, ca.Function], ...]
-    hold: bool
-    constraint: ca.Function | None
-
-    def __init__(
-        self,
-        lagrangian: Traceable | None,
-        t_span: Sequence[float],
-        start: Sequence[float | None],
-        end: Sequence[float | None],
-        start_velocity: Sequence[float | None],
-        end_velocity: Sequence[float | None],
-        force: Traceable | None,
-        running_cost: Traceable,
-        controls: int,
-        terminal_cost: Traceable | None = None,
-        control_bounds: tuple[Limit, Limit] | None = None,
-        position_bounds: tuple[Limit, Limit] | None = None,
-        path_constraint: tuple[Traceable, Limit, Limit] | None = None,
-        duration_bounds: tuple[Limit, Limit] | None = None,
-        parameters: Sequence[float] | None = None,
-        parameter_bounds: tuple[Limit, Limit] | None = None,
-        rates: Traceable | None = None,
-        end_conditions: tuple[Traceable, Limit, Limit] | None = None,
-        breakpoints: Sequence[float] = (),
-        waypoints: Sequence[Waypoint] = (),
-        jumps: Sequence[tuple[float, Traceable]] = (),
-        hold: bool = False,
-        constraint: Traceable | None = None,
-    ) -> None:
-        if is_of_nothing(force):  # of a problem whose fields are replaced
-            lagrangian = force = None
-        self.__dict__.update(read(STATEMENTS, locals()))  # the class is frozen
-        check(self, RULES)
-        self._check_values()
-        check(self, [singular_mass])
-
-    def __repr__(self) -> str:
-        """State the problem without its callables."""
-        free = (
-            "" if self.duration_bounds is None else ", durations of phases from {} to {}".format(*self.duration_bounds)
-        )
-        others = self.dimension - self.mechanical
-        rates = f", {others} of which follow rates," if others else ""
-        controls = counted(self.controls, "held control" if self.hold else "control")
-        return (
-            f"ControlProblem of {counted(self.dimension, 'component')}{rates} and {controls} on "
-            f"{self.t_span}{free}:\n"
-            f"  start {shown(self.start)}, velocity {shown(self.start_velocity)}\n"
-            f"  end {shown(self.end)}, velocity {shown(self.end_velocity)}\n"
-            f"  parameters {shown(self.parameters)}"
-        )
-
-    @property
-    def dimension(self) -> int:
-        """Number d of coordinates."""
-        return len(self.start)
-
-    @property
-    def given_positions(self) -> np.ndarray:
-        """Positions given at start and end, NaN where none is; (2, d)."""
-        return np.array([self.start, self.end], dtype=float)
-
-    @property
-    def constraints(self) -> int:
-        """Number of holonomic constraints."""
-        return 0 if self.constraint is None else self.constraint.numel_out(0)
-
-    @property
-    def moving_constraints(self) -> np.ndarray:
-        """Which holonomic constraints depend on time; (constraints,)."""
-        return rows_that_depend(self.constraint, 0, [True])
-
-    def determined_constraints(self, end: int) -> np.ndarray:
-        """Which holonomic constraints depend at the start, 0, or the end, 1, on no free time and no free parameter."""
-        open_ones = np.zeros(self.constraints, dtype=bool)
-        if self.parameter_bounds is not None:
-            open_ones |= rows_that_depend(self.constraint, 2, np.less(*self.parameter_bounds))
-        if end == 1 and self.duration_bounds is not None:
-            open_ones |= self.moving_constraints
-        return ~open_ones
-
-    @property
-    def mechanical(self) -> int:
-        """Number of components that have an equation of motion; the others follow rates."""
-        return self.force.numel_out(0)
-
-    @property
-    def conditions_at_ends(self) -> Limited:
-        """The end conditions, and behind them the path constraints that limit what is free of the end."""
-        return conditions_at_ends(self)
-
-    @property
-    def crossings(self) -> tuple[Crossing, ...]:
-        """Breakpoints at which the velocity is an unknown: those of jumps, and of waypoints that are functions."""
-        conditions, laws = {t: place for t, place in self.waypoints if is_limited(place)}, dict(self.jumps)
-        return tuple(Crossing(t, conditions.get(t), laws.get(t)) for t in sorted({*conditions, *laws}))
-
-    @property
-    def along(self) -> list[ca.Function]:
-        """The force, rates, running cost and path constraint, Functions of (t, x, v, u)."""
-        return [self.force, self.rates, self.running_cost, self.path_constraint[0]]
-
-    @property
-    def autonomous(self) -> bool:
-        """Whether nothing along the path depends on time, so that the Hamiltonian is constant between breakpoints."""
-        return not depends_on_time(*self.along, self.lagrangian, self.constraint)
-
-    def found(
-        self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
-    ) -> ControlProblem:
-        """Copy with the times and parameters of a solution, without checks; what was free stays free."""
-        moved = dict(zip(self.breakpoints, breakpoints, strict=True))
-        timed = {name: tuple((moved[t], what) for t, what in getattr(self, name)) for name in ("waypoints", "jumps")}
-        return with_values(self, t_span=t_span, parameters=parameters, breakpoints=breakpoints, **timed)
-
-    def varied(self, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> ControlProblem:
-        """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
-        other = with_changes(self, changes, t_span)
-        if other is not self:
-            other._check_values()
-            check(other, () if other.parameters == self.parameters else (singular_mass,))
-        return other
-
-    def _check_values(self) -> None:
-        """Refuse given values that contradict others; move ends that leave their bounds by rounding to the bounds."""
-        ends = self.given_positions
-        met = within_rounding(ends, *self.position_bounds, ends[::-1])
-        for name, values in zip(("start", "end"), met, strict=True):
-            self.__dict__[name] = tuple(None if np.isnan(x) else x for x in values.tolist())
-        check(self, RULES_OF_VALUES)
 
 
 def _controls(name: str, value: Any, _: Made) -> int:
@@ -340,3 +126,212 @@ STATEMENTS = {
     "hold": switch,
     "constraint": function("t x", "any"),
 }
+
+
+@dataclass(frozen=True, repr=False)
+class ControlProblem(Problem):
+    """The cheapest path of a controlled Lagrangian system between two states.
+
+    Parameters
+    ----------
+    lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`; None where all components follow rates
+    t_span : (t_0, t_N); with `duration_bounds` t_N is a guess
+    start, end : d positions each; None leaves the component free
+    start_velocity, end_velocity : d velocities each; None leaves the component free
+    force : callable (t, x, v, u) -> one generalized force for every component but the last k, see `rates`
+    running_cost : callable (t, x, v, u) -> scalar, integrated over time
+    controls : number of controls, the length of u
+    terminal_cost : callable (t, x, v) -> scalar, added to the cost with the values at the end
+    control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
+    position_bounds : (lo, hi), each a scalar or one number per component; held at the joints and the
+        control points between them.  An end beyond them by rounding is put on them
+    path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points;
+        what it asks of x and v alone also holds at the end of the path, unless `end_conditions` speak of that
+    duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
+    constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; for
+        problems without rates, jumps and waypoints that are functions
+    parameters : numbers passed as `p`, the last argument of every callable
+    parameter_bounds : (lo, hi); frees the parameters within them, `parameters` is then the guess
+    rates : callable (t, x, v, u) -> k values: the last k components of x follow dx/dt = rates instead of an equation of
+        motion, as a mass, a battery, an integral or an actuator does.  Their velocities given at the ends are None, and
+        nothing but the running cost and path constraints may depend on these velocities
+    end_conditions : (g, lo, hi) with g(x0, v0, x1, v1) -> scalar or vector of positions and velocities at both ends
+    breakpoints : increasing times inside of `t_span` that are joints of every mesh, as where a callable is not smooth
+        in time.  Where one jumps, take gauss: a function of time has one value there, and a rule with points at the
+        ends of intervals (lobatto, radau) sees one side of the jump.  With `duration_bounds` they part phases, each
+        with a free duration of its own, as between the switching times of a bang-bang control.  A tolerance finds
+        these times itself: where nothing else happens at such a breakpoint, it comes to the nearest switch
+    waypoints : (t, positions) each: a breakpoint at t, where the path has these d positions; each is a number, a pair
+        (lo, hi) that it lies within, or None.  Or (t, (g, lo, hi)) with g(x, v) -> scalar or vector within bounds there
+    jumps : (t, law) each: a breakpoint at t, where law(x, v) -> (x, v) says how the path goes on, as where a stage is
+        dropped or a ball bounces; a waypoint at that time is passed before the jump.  What it returns for the velocity
+        of a component that follows a rate is ignored.  A constant of a phase is a component of rate zero that jumps
+    hold : True for controls that are constant on every interval, as hardware holds them
+
+    Raises
+    ------
+    TypeError, ValueError
+        naming what came and what was expected
+
+    Examples
+    --------
+    >>> ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1).dimension
+    1
+    >>> ball = ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 2), [1.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1,
+    ...     waypoints=[(1.0, [0.0])], jumps=[(1.0, lambda x, v: (x, -0.8 * v))])  # a wall
+    >>> ball.breakpoints
+    (1.0,)
+    """
+
+    lagrangian: ca.Function
+    t_span: tuple[float, float]
+    start: tuple[float | None, ...]
+    end: tuple[float | None, ...]
+    start_velocity: tuple[float | None, ...]
+    end_velocity: tuple[float | None, ...]
+    force: ca.Function
+    running_cost: ca.Function
+    controls: int
+    terminal_cost: ca.Function | None
+    control_bounds: Bounds
+    position_bounds: Bounds
+    path_constraint: Limited
+    duration_bounds: Bounds | None
+    parameters: tuple[float, ...] | None
+    parameter_bounds: Bounds | None
+    rates: ca.Function
+    end_conditions: Limited
+    breakpoints: tuple[float, ...]
+    waypoints: tuple[tuple[float, Pairs | Limited], ...]
+    jumps: tuple[tuple[float, ca.Function], ...]
+    hold: bool
+    constraint: ca.Function | None
+    statements, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, RULES_OF_VALUES, (singular_mass,)
+
+    def __init__(
+        self,
+        lagrangian: Traceable | None,
+        t_span: Sequence[float],
+        start: Sequence[float | None],
+        end: Sequence[float | None],
+        start_velocity: Sequence[float | None],
+        end_velocity: Sequence[float | None],
+        force: Traceable | None,
+        running_cost: Traceable,
+        controls: int,
+        terminal_cost: Traceable | None = None,
+        control_bounds: tuple[Limit, Limit] | None = None,
+        position_bounds: tuple[Limit, Limit] | None = None,
+        path_constraint: tuple[Traceable, Limit, Limit] | None = None,
+        duration_bounds: tuple[Limit, Limit] | None = None,
+        parameters: Sequence[float] | None = None,
+        parameter_bounds: tuple[Limit, Limit] | None = None,
+        rates: Traceable | None = None,
+        end_conditions: tuple[Traceable, Limit, Limit] | None = None,
+        breakpoints: Sequence[float] = (),
+        waypoints: Sequence[Waypoint] = (),
+        jumps: Sequence[tuple[float, Traceable]] = (),
+        hold: bool = False,
+        constraint: Traceable | None = None,
+    ) -> None:
+        if is_of_nothing(force):  # of a problem whose fields are replaced
+            lagrangian = force = None
+        self._state(locals())
+
+    @property
+    def given_positions(self) -> np.ndarray:
+        """Positions given at start and end, NaN where none is; (2, d)."""
+        return np.array([self.start, self.end], dtype=float)
+
+    @property
+    def constraints(self) -> int:
+        """Number of holonomic constraints."""
+        return 0 if self.constraint is None else self.constraint.numel_out(0)
+
+    @property
+    def moving_constraints(self) -> np.ndarray:
+        """Which holonomic constraints depend on time; (constraints,)."""
+        return rows_that_depend(self.constraint, 0, [True])
+
+    def determined_constraints(self, end: int) -> np.ndarray:
+        """Which holonomic constraints depend at the start, 0, or the end, 1, on no free time and no free parameter."""
+        open_ones = np.zeros(self.constraints, dtype=bool)
+        if self.parameter_bounds is not None:
+            open_ones |= rows_that_depend(self.constraint, 2, np.less(*self.parameter_bounds))
+        if end == 1 and self.duration_bounds is not None:
+            open_ones |= self.moving_constraints
+        return ~open_ones
+
+    @property
+    def mechanical(self) -> int:
+        """Number of components that have an equation of motion; the others follow rates."""
+        return self.force.numel_out(0)
+
+    @property
+    def limits_of_end(self) -> list[int]:
+        """Indices of the path constraints that limit what is free of the end.
+
+        Path constraints hold at the quadrature points, inside of the intervals.  The velocity at a free end is an
+        unknown of its own: where it is rewarded, it would exceed its limit on any mesh.  So what no control changes at
+        once is limited there, too, but for equations that are as many as the controls, constraints of the time, and of
+        the velocity of a component that follows a rate, which is no argument of an end condition.  Nothing is added of
+        what end conditions speak of: the same twice has no multipliers, and it may be where g has no derivative.
+        """
+        g, low, high = self.path_constraint
+        numbers, equal = np.arange(self.dimension), np.equal(low, high)
+        stated_x, stated_v = (np.isin(numbers, list(entries_of(self.end_conditions[0], k))) for k in (2, 3))
+        excluded = equal & (np.count_nonzero(equal) >= self.controls)
+        excluded |= rows_that_depend(g, TIME, [True]) | rows_that_depend(
+            g, CONTROLS, np.ones(self.controls, dtype=bool)
+        )
+        excluded |= rows_that_depend(g, POSITIONS, stated_x)
+        excluded |= rows_that_depend(g, VELOCITIES, stated_v | (numbers >= self.mechanical))
+        free_x, free_v = (np.array([a is None for a in values]) for values in (self.end, self.end_velocity))
+        limited = rows_that_depend(g, POSITIONS, free_x) | rows_that_depend(g, VELOCITIES, free_v)
+        return np.flatnonzero(limited & ~excluded).tolist()
+
+    @property
+    def conditions_at_ends(self) -> Limited:
+        """The end conditions, and behind them the path constraints that limit what is free of the end."""
+        (conditions, low, high), rows = self.end_conditions, self.limits_of_end
+        if not rows:
+            return self.end_conditions
+        inputs, (g, *sides) = conditions.sx_in(), self.path_constraint
+        _, _, x, v, *p = inputs
+        stated = ca.vertcat(conditions(*inputs), g(0.0, x, v, ca.SX.zeros(self.controls), *p)[rows])
+        lows, highs = ([side[i] for i in rows] for side in sides)
+        return ca.Function("end_conditions", inputs, [ca.densify(stated)]), (*low, *lows), (*high, *highs)
+
+    @property
+    def crossings(self) -> tuple[Crossing, ...]:
+        """Breakpoints at which the velocity is an unknown: those of jumps, and of waypoints that are functions."""
+        conditions, laws = {t: place for t, place in self.waypoints if is_limited(place)}, dict(self.jumps)
+        return tuple(Crossing(t, conditions.get(t), laws.get(t)) for t in sorted({*conditions, *laws}))
+
+    @property
+    def along(self) -> list[ca.Function]:
+        """The force, rates, running cost and path constraint, Functions of (t, x, v, u)."""
+        return [self.force, self.rates, self.running_cost, self.path_constraint[0]]
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether nothing along the path depends on time, so that the Hamiltonian is constant between breakpoints."""
+        return not depends_on_time(*self.along, self.lagrangian, self.constraint)
+
+    def found(
+        self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
+    ) -> ControlProblem:
+        """Copy with the times and parameters of a solution, without checks; what was free stays free."""
+        moved = dict(zip(self.breakpoints, breakpoints, strict=True))
+        timed = {name: tuple((moved[t], what) for t, what in getattr(self, name)) for name in ("waypoints", "jumps")}
+        return with_values(self, t_span=t_span, parameters=parameters, breakpoints=breakpoints, **timed)
+
+    def _check_values(self) -> None:
+        """Refuse given values that contradict others; move ends that leave their bounds by rounding to the bounds."""
+        ends = self.given_positions
+        met = within_rounding(ends, *self.position_bounds, ends[::-1])
+        for name, values in zip(("start", "end"), met, strict=True):
+            self.__dict__[name] = tuple(None if np.isnan(x) else x for x in values.tolist())
+        super()._check_values()

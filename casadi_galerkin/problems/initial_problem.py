@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from reprlib import repr as shown
-from typing import ClassVar
+from dataclasses import dataclass, field
 
 import casadi as ca
 
-from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.problems.callables import Traceable
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
+from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.problems.statements import (
-    check,
     function,
     lagrangian,
     optional,
     parameters,
-    read,
     span,
     whole_vector,
 )
@@ -36,7 +32,7 @@ STATEMENTS = {
 
 
 @dataclass(frozen=True, repr=False)
-class InitialProblem:
+class InitialProblem(Problem):
     """A path from a position and a momentum, or velocity, at the start.
 
     Parameters
@@ -71,7 +67,9 @@ class InitialProblem:
     parameters: tuple[float, ...] | None
     force: ca.Function | None
     constraint: ca.Function | None
-    breakpoints: ClassVar[tuple[float, ...]] = ()  # which other problems have
+    breakpoints: tuple[float, ...] = field(default=(), init=False, repr=False)  # which other problems have
+    statements = STATEMENTS
+    rules, rules_of_values = (impossible_constraint,), (constraint_at_ends, leaving_velocity)
 
     def __init__(
         self,
@@ -92,19 +90,4 @@ class InitialProblem:
             )
         if (momentum is None) == (velocity is None):
             raise ValueError(f"give either momentum or velocity, got momentum={momentum!r} and velocity={velocity!r}")
-        self.__dict__.update(read(STATEMENTS, locals()))  # the class is frozen
-        check(self, (impossible_constraint, constraint_at_ends, leaving_velocity))
-
-    def __repr__(self) -> str:
-        """State the problem without its Lagrangian."""
-        start = f"velocity {shown(self.velocity)}" if self.momentum is None else f"momentum {shown(self.momentum)}"
-        return (
-            f"InitialProblem of {counted(self.dimension, 'component')} on {self.t_span}: "
-            f"position {shown(self.position)}, {start}, {'no force' if self.force is None else 'with a force'}, "
-            f"{'' if self.constraint is None else 'with a constraint, '}parameters {shown(self.parameters)}"
-        )
-
-    @property
-    def dimension(self) -> int:
-        """Number d of coordinates."""
-        return len(self.position)
+        self._state(locals())

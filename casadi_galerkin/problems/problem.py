@@ -1,51 +1,121 @@
-"""What every problem has in common."""
+"""What every problem has in common: how it is made of its statements, and varied."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import Any, Protocol, TypeVar
+from reprlib import repr as shown
+from typing import Any, ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import check_method
-from casadi_galerkin.calculus.numbers import components, finite, numbers, time_span, times_inside
+from casadi_galerkin.calculus.numbers import components, counted, finite, numbers, time_span, times_inside
+from casadi_galerkin.problems.statements import Reader, Rule, check, read
 
 ENDS = ("start", "end")
 END_MOTIONS = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
 VARIED = (*ENDS, "parameters", *END_MOTIONS, "energy")  # what can be varied, where a problem has it
 
 
-class Problem(Protocol):
-    """What an answer keeps of the problem that it solves."""
+class Problem:
+    """What all problems state; answers keep the problem that they solve.
+
+    Attributes
+    ----------
+    lagrangian : Function (t, x, v) or, with parameters, (t, x, v, p)
+    force : Function of the same arguments -> (d,), or None
+    constraint : Function (t, x) or, with parameters, (t, x, p) -> (k,), or None
+    parameters : values of p, or None
+    t_span : times of the ends
+    breakpoints : times of joints that every mesh has
+    statements : readers of all that a problem of this kind states
+    rules, rules_of_values, rules_of_masses : what is looked at when it is made; the second also where other values are
+        given, the third where other parameters are
+    """
+
+    lagrangian: ca.Function
+    force: ca.Function | None
+    constraint: ca.Function | None
+    parameters: tuple[float, ...] | None
+    t_span: tuple[float, float]
+    breakpoints: tuple[float, ...]
+    statements: ClassVar[Mapping[str, Reader]]
+    rules: ClassVar[Sequence[Rule]]
+    rules_of_values: ClassVar[Sequence[Rule]]
+    rules_of_masses: ClassVar[Sequence[Rule]] = ()
+
+    def _state(self, given: Mapping[str, Any]) -> None:
+        """Read all statements, and refuse what is wrong with them."""
+        self.__dict__.update(read(self.statements, given))  # the classes are frozen
+        check(self, self.rules)
+        self._check_values()
+        check(self, self.rules_of_masses)
+
+    def _check_values(self) -> None:
+        check(self, self.rules_of_values)
+
+    def __repr__(self) -> str:
+        """State the problem; its callables by their names alone."""
+        stated = {name: getattr(self, name) for name in self.statements if name not in ("lagrangian", "t_span")}
+        said = [
+            name if callable(value) or value is True else f"{name} {shown(value)}"
+            for name, value in stated.items()
+            if is_given(value) and "bounds" not in name
+        ]
+        return f"{type(self).__name__} of {counted(self.dimension, 'component')} on {self.t_span}: {', '.join(said)}"
 
     @property
-    def lagrangian(self) -> ca.Function:
-        """Function (t, x, v) or, with parameters, (t, x, v, p)."""
+    def dimension(self) -> int:
+        """Number d of coordinates."""
+        return self.lagrangian.size1_in(1)
 
-    @property
-    def force(self) -> ca.Function | None:
-        """Function of the same arguments -> (d,), or None."""
+    def varied(self: Stated, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> Stated:
+        """Copy with other given values.
 
-    @property
-    def constraint(self) -> ca.Function | None:
-        """Function (t, x) or, with parameters, (t, x, p) -> (k,), or None."""
+        Parameters
+        ----------
+        changes : new values by name, such as start, end or parameters: with None exactly where the problem has None;
+            None as a whole changes nothing
+        t_span : (t_0, t_N) with the breakpoints inside; default the same
+        """
+        span = self.t_span if t_span is None else time_span(t_span)
+        if span == self.t_span and all(value is None for value in changes.values()):
+            return self
+        if span != self.t_span:
+            times_inside("breakpoints", self.breakpoints, span)
+        values = {name: self._another(name, value) for name, value in changes.items() if value is not None}
+        other = with_values(self, t_span=span, **values)
+        other._check_values()
+        check(other, () if other.parameters == self.parameters else other.rules_of_masses)
+        return other
 
-    @property
-    def parameters(self) -> tuple[float, ...] | None:
-        """Values of p."""
-
-    @property
-    def t_span(self) -> tuple[float, float]:
-        """Times of the ends."""
-
-    @property
-    def breakpoints(self) -> tuple[float, ...]:
-        """Times of joints that every mesh has."""
+    def _another(self, name: str, value: Any) -> Any:
+        """Another value of a statement, with None where it has None."""
+        if name not in VARIED:
+            raise ValueError(f"what can be varied is {', '.join(VARIED)}, got {name}={value!r}")
+        before = getattr(self, name, None)
+        if before is None:
+            raise ValueError(f"the problem has no {name}, got {name}={value!r}")
+        if isinstance(before, float):
+            return finite(name, value)
+        if name == "parameters":
+            return numbers(name, value, len(before))
+        given = components(name, value, len(before))
+        if [a is None for a in given] != [a is None for a in before]:
+            raise ValueError(f"{name} must have None where the problem has it, {before}, got {given}")
+        return given
 
 
 Stated = TypeVar("Stated", bound=Problem)
+
+
+def is_given(value: object) -> bool:
+    """Whether anything is given: not None, nor False, nor an empty Function, nor components that are all None."""
+    if isinstance(value, tuple):
+        return any(map(is_given, value))
+    return value is not None and value is not False and not (isinstance(value, ca.Function) and not value.numel_out(0))
 
 
 def section_times(problem: Problem) -> list[float]:
@@ -78,34 +148,3 @@ def check_types(problem: object, method: object, *kinds: type) -> None:
     """Refuse anything but a problem of these kinds and a Galerkin method."""
     check_kind(problem, *kinds)
     check_method(method)
-
-
-def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: Sequence[float] | None) -> Stated:
-    """Copy with another time span around the breakpoints, and other values by name.
-
-    They have None exactly where the problem has None; a value that is None as a whole changes nothing.  Where nothing
-    is given, it is the problem itself.
-    """
-    span = problem.t_span if t_span is None else time_span(t_span)
-    if span == problem.t_span and all(value is None for value in changes.values()):
-        return problem
-    values: dict[str, Any] = {"t_span": span}
-    if span != problem.t_span:
-        times_inside("breakpoints", problem.breakpoints, span)
-    for name, value in changes.items():
-        if name not in VARIED:
-            raise ValueError(f"what can be varied is {', '.join(VARIED)}, got {name}={value!r}")
-        if value is None:
-            continue
-        before = getattr(problem, name, None)
-        if before is None:
-            raise ValueError(f"the problem has no {name}, got {name}={value!r}")
-        if isinstance(before, float):
-            values[name] = finite(name, value)
-        elif name == "parameters":
-            values[name] = numbers(name, value, len(before))
-        else:
-            values[name] = components(name, value, len(before))
-            if [a is None for a in values[name]] != [a is None for a in before]:
-                raise ValueError(f"{name} must have None where the problem has it, {before}, got {values[name]}")
-    return with_values(problem, **values)

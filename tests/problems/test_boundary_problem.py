@@ -163,9 +163,9 @@ def test_a_problem_says_what_it_states():
         energy=2.0,
     )
     words = (
-        "energy 2, constraint, end_action, end_conditions, start_momentum (None, None, 1.0), end_momentum (0.5, None, N"
+        "start (0.0, None, None), end (None, None, 3.0), constraint, start_momentum (None, None, 1.0), end_momentum "
     )
-    assert words in repr(problem)
+    assert words + "(0.5, None, None), end_action, end_conditions, energy 2.0" in repr(problem)
     assert "force" not in repr(problem)
 
 

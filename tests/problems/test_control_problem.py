@@ -341,7 +341,9 @@ def test_fields_of_problems_with_and_without_rates_are_replaced():
     longer = replace(first_order(), t_span=(0.0, 3.0))
     assert longer.t_span == (0.0, 3.0)
     assert longer.mechanical == 0
-    assert "1 of which follow rates, and 1 held control on (0.0, 3.0)" in str(replace(longer, hold=True))
+    assert "on (0.0, 3.0): start (0.0,), controls 1, rates, end (1.0,), running_cost, hold" in str(
+        replace(longer, hold=True)
+    )
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
