@@ -21,7 +21,7 @@ from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
+from casadi_galerkin.problems.expressions import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.time_jumps import Steps, integrand, jumps_in_time, may_step, moving_phases, unseen_steps
 from casadi_galerkin.solution.trajectory import Trajectory
