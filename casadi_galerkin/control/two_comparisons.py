@@ -1,7 +1,7 @@
 """The errors of an optimal path, and a better mesh, from two other paths of two degrees more.
 
-One is on the same mesh.  The other is on an interlaced one: every joint t gives way to two, at a distance of `SHIFT` of
-the shorter interval beside it.  Wherever a control switches or meets a bound, a constraint is touched or a callable
+One is on the same mesh.  The other is on an interlaced one: every joint gives way to two, at parts of the shorter
+interval beside it that differ, so that no point of the new intervals is where the joint was (`BEFORE`, `AFTER`).  Wherever a control switches or meets a bound, a constraint is touched or a callable
 jumps, the three paths see it at different places between different points, and differ by about the error of the first.
 Joints that have to stay, at the ends and at breakpoints, get another one close by, at `CLOSE` of the interval: what
 happens beside them is seen by no other point.  The errors are `SAFETY` times the larger differences of x, of the
@@ -34,12 +34,11 @@ from casadi_galerkin.solvers.solver import Solver, ipopt
 
 HIGHER = 2  # degrees added; one adds nothing to a path of the other parity
 SAFETY = 2.0  # errors over differences; on 44 paths with bends, touches and switches none was larger than twice these
-SHIFT = 0.31  # distance of new joints from an old one, over the shorter interval beside it
+BEFORE, AFTER = 0.31, 0.23  # distances of new joints from an old one, over the shorter interval beside it
 CLOSE = 0.05  # the same for an old joint that stays
 UNSMOOTH = 0.25  # ratio of the last two Legendre coefficients to the two before from which a path is not smooth
 KINK_ORDER = 2  # of the error where it is not: a jump of the acceleration inside a step h changes x by the order of h²
 LEAST_PARTS, MOST_PARTS = 0.25, 4.0  # parts that an interval becomes at once
-INSIDE = 1e-9  # fraction of an interval beside its ends, where a path may jump, that is left out of a difference
 WARM_BARRIER = 1e-4  # first barrier of IPOPT from an earlier path: with 1e-2 a robot arm left its path, and found none
 # Ratio of IPOPT's tolerance to its last barrier.  The barrier keeps values off bounds to which little pushes them, such
 # as controls on the short intervals beside a switch: with IPOPT's own 10, the mass of a rocket was known to 3e-7 only.
@@ -74,9 +73,9 @@ def from_near(solver: Solver, path: ControlTrajectory, accepted: float = 0.0) ->
 def interlaced(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> np.ndarray:
     """The mesh with two joints in place of each, and one more on either side of those that stay."""
     steps, stays = np.diff(mesh), np.isin(mesh, [mesh[0], *breakpoints, mesh[-1]])
-    apart = SHIFT * np.minimum(np.append(np.inf, steps), np.append(steps, np.inf))
-    before = mesh[1:] - np.where(stays[1:], CLOSE * steps, apart[1:])
-    after = mesh[:-1] + np.where(stays[:-1], CLOSE * steps, apart[:-1])
+    shorter = np.minimum(np.append(np.inf, steps), np.append(steps, np.inf))
+    before = mesh[1:] - np.where(stays[1:], CLOSE * steps, BEFORE * shorter[1:])
+    after = mesh[:-1] + np.where(stays[:-1], CLOSE * steps, AFTER * shorter[:-1])
     return np.sort(np.concatenate((mesh[stays], before, after)))
 
 
@@ -163,7 +162,7 @@ def compared(path: ControlTrajectory, solve: Callable[[Galerkin, np.ndarray], Co
 def _distance(path: ControlTrajectory, other: ControlTrajectory) -> float:
     """Largest relative difference of durations, and of x at the same fractions of phases."""
     marks, others = section_times(path.problem), section_times(other.problem)
-    inside = np.clip(sampling_parts(path.method.degree), INSIDE, 1 - INSIDE)
+    inside = sampling_parts(path.method.degree)[1:-1]  # at joints paths may jump
     largest = float(np.max(np.abs(np.diff(marks) - np.diff(others)))) / np.ptp(marks)
     for one, two, own, its in ((path, other, marks, others), (other, path, others, marks)):
         times = times_at(one.t, inside)
