@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from paths import script
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -23,6 +24,7 @@ def test_equispaced_points_lose_digits_from_degree_20_on():
     assert errors[1] > 30 * errors[0]
 
 
+@pytest.mark.slow
 def test_equispaced_points_are_useless_at_degree_40():
     with pytest.raises(cg.ConvergenceError, match="no path was found"):
         extremes.degree(40, cg.equispaced_points)
@@ -106,7 +108,7 @@ def test_units_change_neither_digits_nor_iterations(units):
     assert same
 
 
-@pytest.mark.parametrize("decades", [6, 12, pytest.param(15, marks=extreme)])
+@pytest.mark.parametrize("decades", [6, *slow(12), pytest.param(15, marks=extreme)])
 def test_mesh_graded_over_decades(decades):
     error, momentum_error = extremes.graded(decades)
     assert error < ROUNDOFF
@@ -119,7 +121,7 @@ def test_near_collision(distance, error):
     assert extremes.collision(distance) < error
 
 
-@pytest.mark.parametrize("distance", [1e-5, 1e-6, 1e-7])
+@pytest.mark.parametrize("distance", [1e-6, *slow(1e-5, 1e-7)])
 def test_nearer_collision_is_right_or_called_singular(distance):
     """The second variation is then near roundoff: which of the two it is depends on the last digits."""
     try:

@@ -73,6 +73,7 @@ def test_stated_action_is_the_integral_of_the_lagrangian(scene):
     assert total == pytest.approx(scene.action, rel=1e-13, abs=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SHOT, **NAMES)
 def test_stated_velocity_leads_to_the_end_with_the_stated_values(scene):
     """Shoot with DOP853: an oracle that shares nothing with the package."""

@@ -331,7 +331,7 @@ def folds_of_s_curve():
 
 
 @pytest.mark.parametrize("origin", [100.0, *slow(0.0)])
-@pytest.mark.parametrize("ends", [(1.0, 200.0), (200.0, 1.0)])
+@pytest.mark.parametrize("ends", [(1.0, 200.0), *slow([200.0, 1.0])])
 def test_a_branch_is_not_left_for_another_sheet_of_an_s_curve(ends, origin):
     """The folds are at heights of 0.6 and 1.5, and the last path is 26 high."""
     branch = cg.continuation(s_curve(ends[0], origin), [ends[1]], intervals=20)
@@ -365,6 +365,7 @@ def test_a_height_that_is_no_number_is_refused(round_the_fold, height):
         round_the_fold.plot(3)
 
 
+@pytest.mark.slow
 def test_a_branch_that_meets_its_mirror_image_turns_where_another_one_crosses():
     """Half a period later a path is its mirror image; both meet where the Morse index of the symmetric path changes."""
     duffing = cg.BoundaryProblem(
@@ -411,7 +412,7 @@ def test_a_branch_that_begins_beside_a_fold_finds_the_next_ones(beyond, origin):
     np.testing.assert_allclose(folds, expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("target", [2.0, 400.0])
+@pytest.mark.parametrize("target", [2.0, *slow(400.0)])
 def test_a_branch_whose_first_rate_is_zero_is_followed(target):
     """The parameter enters squared: x = sinh(p t)/sinh p."""
     tunnel = cg.BoundaryProblem(
@@ -423,7 +424,7 @@ def test_a_branch_whose_first_rate_is_zero_is_followed(target):
 
 
 @pytest.mark.parametrize("beside", [0.002, *slow(0.05, 1e-3, 1e-4)])
-@pytest.mark.parametrize("bent", [1.0, -1.0])
+@pytest.mark.parametrize("bent", [1.0, *slow(-1.0)])
 def test_a_branch_is_not_left_where_two_nearly_cross(bent, beside):
     """A rod under less and less pressure, one end a little aside: bent to that side, it straightens without a fold.
 

@@ -114,6 +114,7 @@ def hops():
     return cg.paths(WELL, cg.Galerkin(6), 12)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_paths_and_another_the_same_set(hops, monkeypatch):
     again = cg.paths(WELL, cg.Galerkin(6), 12)
     monkeypatch.setattr(several_paths, "SEED", 1)
@@ -147,6 +148,7 @@ def test_a_symmetry_may_take_all_paths_of_a_class_to_one():
     assert [path.morse_index for path in found] == [0, 1, 1, 2]  # upright, two swings with half a period of 5, hanging
 
 
+@pytest.mark.slow
 def test_free_and_periodic_ends():
     free = cg.paths(cg.BoundaryProblem(pendulum, (0.0, 10.0), [1.0], [None]), cg.Galerkin(8), 16)
     assert len(free) == 7
@@ -183,6 +185,7 @@ def test_where_the_straight_line_leads_to_nothing_its_load_does(duration):
         assert abs(swing.y[0, -1] - 2.0) < 10 * growth * path.error_estimate * np.max(np.abs(path.x)) + 1e-6
 
 
+@pytest.mark.slow
 def test_where_the_mesh_resolves_nothing_that_is_said():
     with pytest.raises(
         cg.ConvergenceError,
@@ -191,6 +194,7 @@ def test_where_the_mesh_resolves_nothing_that_is_said():
         cg.paths(LONG, cg.Galerkin(1), 3)
 
 
+@pytest.mark.slow
 def test_members_of_a_family_are_counted_and_not_returned():
     """Any swing of a pendulum with this period may begin at any phase."""
     found = cg.paths(cg.BoundaryProblem(pendulum, (0, 7), [None], periodic=True), cg.Galerkin(8), 8)
