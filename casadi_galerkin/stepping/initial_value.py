@@ -52,26 +52,19 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
     """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
     legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
     x, start = np.array(problem.position), problem.t_span[0]
-
-    def checked(v: np.ndarray) -> np.ndarray:
-        """The momentum of a velocity; refuses a singular mass matrix there."""
-        p, mass = (np.array(a) for a in legendre(start, x, v))
-        refuse_degenerate(mass, f"at the start, x = {x}, v = {v}")
-        return p.ravel()
-
-    if problem.velocity is not None:
-        v = np.array(problem.velocity)
-        return checked(v), v
-    at, rest = (np.array([start]), x[:, None]), np.zeros((len(x), 1))
-    p = tangent_momenta(problem, *at, np.array(problem.momentum)[:, None], rest)
-    v = velocities(legendre, *at, p, rest)[:, 0]
+    v, given = np.array(problem.velocity or np.zeros(len(x))), problem.momentum
+    if given is not None:
+        at = np.array([start]), x[:, None]
+        p = tangent_momenta(problem, *at, np.array(given)[:, None], v[:, None])
+        v = velocities(legendre, *at, p, v[:, None])[:, 0]
+    tried = np.where(np.isfinite(v), v, 0.0)
+    momentum, mass = (np.array(a) for a in legendre(start, x, tried))
+    refuse_degenerate(mass, f"at the start, x = {x}, v = {tried}")
     if not np.all(np.isfinite(v)):
-        checked(rest[:, 0])
         raise ValueError(
-            f"no velocity was found that has the momentum {p[:, 0]} at the start, x = {x}; give the velocity"
+            f"no velocity was found that has the momentum {given} at the start, x = {x}; give the velocity"
         )
-    checked(v)
-    return p[:, 0], v
+    return (momentum if given is None else p).ravel(), v
 
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:
