@@ -102,10 +102,11 @@ class LinearSolver:
         return self._kept[key]
 
     def newton_step(self, method: str) -> ca.Function:
-        """(matrix, gradient, u) -> (step, softest_direction, sizes, norm, defect).
+        """(matrix, gradient, u) -> (step, softest_direction, sizes, norm, length, step_length, defect).
 
         The Newton step; the solution for a generic right-hand side, which is near the softest direction; the sizes that
-        the unknowns are measured by; and the largest entry of the step relative to these.
+        the unknowns are measured by; the largest entry of the step relative to these; and the lengths of path and step,
+        max_d √K_d |x_d|, where a step that changes a free duration by a factor e is as long as the path.
         """
         key = ("newton_step", method)
         if key not in self._kept:
@@ -115,9 +116,14 @@ class LinearSolver:
             scaled_rhs = self._generic_rhs / self._measure(scale)
             step, softest = ca.horzsplit(self._solution(method, matrix, ca.horzcat(gradient, scaled_rhs)))
             whole = ca.vertcat(step, ca.MX.zeros(self.numbering.size - self.numbering.free))
-            reached = ca.fmax(scale, self.largest(whole))
+            moved, stiffness = self.largest(whole), self._stiffness(matrix)
+            reached = ca.fmax(scale, moved)
             sizes = self._measure(ca.fmax(reached, HALF_DIGITS * self._mattering(matrix, reached)))
+            length, step_length = (ca.norm_inf(stiffness * a) for a in (scale, moved))
+            if self.numbering.stretched:
+                step_length = ca.fmax(step_length, length * ca.fabs(step[-1]))
             outputs = {"step": step, "softest_direction": softest, "sizes": sizes, "norm": ca.norm_inf(step / sizes)}
+            outputs |= {"length": length, "step_length": step_length}
             outputs["defect"] = self._defect(matrix, step, gradient)
             self._kept[key] = self._function("newton_step", inputs, outputs)
         return self._kept[key]
@@ -155,14 +161,18 @@ class LinearSolver:
         of = self.numbering.component[row[numbers]]
         return [numbers[of == c] for c in range(self.numbering.dimension)]
 
+    def _stiffness(self, matrix: ca.MX) -> ca.MX:
+        """Square root of the largest entry on the diagonal of ∇²S, for each component of the path; (d,)."""
+        entries = [matrix.nz[numbers.tolist()] for numbers in self.diagonal]
+        return ca.vertcat(*(ca.sqrt(ca.norm_inf(entry)) if entry.numel() else 0 for entry in entries))
+
     def _mattering(self, matrix: ca.MX, scale: ca.MX) -> ca.MX:
         """Size at which each component would matter as much as the one that matters most, from their sizes; (d,).
 
         With stiffnesses K on the diagonal it is max_d √K_d |x_d| / √K_c: by Cauchy and Schwarz, the terms of all
         components in an equation of component c are at most K_c times that, and so is their rounding over eps.
         """
-        roots = [ca.sqrt(ca.norm_inf(matrix.nz[n.tolist()])) if len(n) else ca.MX(0) for n in self.diagonal]
-        stiffness = ca.vertcat(*roots)
+        stiffness = self._stiffness(matrix)
         return ca.if_else(stiffness > 0, ca.norm_inf(stiffness * scale) / stiffness, scale)
 
     def _expanded(self, scale: ca.MX, further: ca.MX) -> ca.MX:

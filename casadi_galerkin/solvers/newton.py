@@ -1,19 +1,22 @@
 """Newton's method with a line search that does not see the scaling of equations or unknowns.
 
-The natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Problems", 2004, algorithm NLEQ-ERR.
+The natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Problems", 2004, algorithm NLEQ-ERR.  Where
+it ends, Newton's method begins again from the guess with free steps, which are no longer than the guess itself: on 7
+families of random problems this led to paths from 165 of 224 straight or noisy lines, and line searches to 123.
 
 A solution is accepted if every residual is within `ACCEPTED` times its own roundoff floor, eps times the sizes of
 the terms it sums and of what the rounding of the unknowns themselves does to it, |H||ξ|, with H of the last iterate.
-A component is measured by its size ‖x_c‖.  But its equations are rounded like those of the component that matters most
-for the energy: with stiffnesses K on the diagonal of H, it would matter as much at the size max_d √K_d ‖x_d‖ / √K_c.
-Newton's method ends where steps are roundoff, measured by at least √eps times that size, and a component that is not
-above rounding of it, `ROUNDED`, is set to zero.
+The equations of a component are rounded like those of the component that matters most for the energy: with stiffnesses
+K on the diagonal of H, it would matter as much at the size max_d √K_d ‖x_d‖ / √K_c.  It is measured by √eps times that
+size at least, and is set to zero where it is not above rounding of it, `ROUNDED`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -29,6 +32,7 @@ QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it
 SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
 STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = 1e-7
+FREE_STEPS = 50  # most of them; 200 led to 180 of the same problems, but took twice as long
 ROUNDED = 4 * EPS  # size of a component, over that at which it would matter, up to which it is zero
 DRIFT = 10.0  # bound of the second variation's change, over what the last two steps show; along families at most 0.7
 
@@ -77,46 +81,82 @@ def damped_newton(
     max_iter: int = 200,
     linear_solver: str | None = None,
 ) -> Solution:
-    """Newton's method with natural monotonicity line search.
-
-    A short full step is accepted at once if the next one is much shorter, which needs no solution beyond the next
-    iteration's own.  Where steps are long or shrink by less, full ones were measured to jump to other paths.
+    """Newton's method with natural monotonicity line search; where that ends, from the guess again with free steps.
 
     Arguments and failures are those of a `Solver`.
     """
     with stationarity.linearization(linear_solver) as linear:
-        return _iterate(linear, guess, data, verbose, max_iter)
+        try:
+            return _iterate(linear, guess, data, verbose, max_iter, _monotone_step)
+        except SolveFailure as failure:
+            first, left = failure, min(max_iter - failure.iterations, FREE_STEPS)
+            if failure.iterations == 0 or left == 0 or seconds_left() < 0:
+                raise
+        try:
+            found = _iterate(linear, guess, data, verbose, left, _free_step)
+        except SolveFailure as failure:
+            first.iterations += failure.iterations
+            raise first from None
+        return replace(found, iterations=first.iterations + found.iterations)
 
 
-def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int, max_iter: int) -> Solution:
-    at, damping = linear.newton_step(guess, data), 1.0
+Search: TypeAlias = Callable[[Linearization, Iterate, float, Data, int], tuple[Iterate, float, float]]
+
+
+def _iterate(
+    linear: Linearization, guess: np.ndarray, data: Data, verbose: int, max_iter: int, search: Search
+) -> Solution:
+    """Newton's method with the steps of a search."""
+    at, damping, forecast = linear.newton_step(guess, data), 1.0, 1.0
     if not (math.isfinite(at.norm) or np.isfinite(linear.gradient).all()):
         raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
     last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
     for iteration in range(1, max_iter + 1):
         _check_going_on(linear, at, iteration)
-        end = _final_iterate(linear, at, last, data)
+        end = _final_iterate(at, last)
         if end is not None:
             drift = DRIFT * (at.norm + min(1.0, at.norm / max(last, TINY)) ** 2)
             solution = verified(linear, end, data, iteration, NEWTON, drift)
             if solution is not None:
-                _report(iteration, at.norm, damping, verbose)
+                _report(iteration, at.norm, 1.0, verbose)
                 return solution
-        last, whole = at.norm, None
-        if damping == 1.0 and (at.norm < SHORT or iteration == 1):
-            whole = linear.newton_step(at.unknowns + at.step, data)
-        if whole is not None and _contracts(last, whole.norm):
-            trial, forecast = whole, 1.0
-        else:
-            linear.return_to(at)
-            x, simplified, damping = _line_search(linear, at, damping, data, iteration)
-            trial = whole if whole is not None and damping == 1.0 else linear.newton_step(x, data)
-            linear.return_to(trial)
-            forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
+        last = at.norm
+        at, damping, forecast = search(linear, at, forecast, data, iteration)
         _report(iteration, last, damping, verbose)
-        at, damping = trial, forecast
     reason = f"no convergence in {max_iter} iterations, last relative step {at.norm:.1e}"
     raise _failed(linear, at, data, max_iter, reason)
+
+
+def _monotone_step(
+    linear: Linearization, at: Iterate, damping: float, data: Data, iteration: int
+) -> tuple[Iterate, float, float]:
+    """The next iterate by natural monotonicity, its damping, and the one to begin with next.
+
+    A short full step is accepted at once if the next one is much shorter, which needs no solution beyond the next
+    iteration's own.  Where steps are long or shrink by less, full ones were measured to jump to other paths.
+    """
+    whole = None
+    if damping == 1.0 and (at.norm < SHORT or iteration == 1):
+        whole = linear.newton_step(at.unknowns + at.step, data)
+        if _contracts(at.norm, whole.norm):
+            return whole, 1.0, 1.0
+        linear.return_to(at)
+    x, simplified, damping = _line_search(linear, at, damping, data, iteration)
+    trial = whole if whole is not None and damping == 1.0 else linear.newton_step(x, data)
+    linear.return_to(trial)
+    return trial, damping, min(1.0, damping * _forecast(at.step, simplified, trial))
+
+
+def _free_step(
+    linear: Linearization, at: Iterate, longest: float, data: Data, iteration: int
+) -> tuple[Iterate, float, float]:
+    """The next iterate by the Newton step, wherever it leads, but no longer than the guess; see `_monotone_step`.
+
+    Monotone steps stay near the guess, but end wherever the Hessian is singular on the way.
+    """
+    longest = (at.length or at.step_length) if iteration == 1 else longest
+    damping = min(1.0, longest / max(at.step_length, TINY))
+    return linear.newton_step(at.unknowns + damping * at.step, data), damping, longest
 
 
 def _contracts(norm: float, then: float) -> bool:
@@ -141,25 +181,17 @@ def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:
         print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
 
 
-def _final_iterate(linear: Linearization, at: Iterate, last: float, data: Data) -> np.ndarray | None:
+def _final_iterate(at: Iterate, last: float) -> np.ndarray | None:
     """The point where Newton's method may end, or None: after a step that is roundoff, or whose next one would be.
 
     Residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.  Nor does the
     ratio of the last two steps, which may be of different components: the next step is expected to be no shorter than
     the square of this one.
     """
-    if at.norm < NEARLY_CONVERGED:
-        shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
-        return at.unknowns + at.step if shrinks or at.norm >= last / 2 else None
-    if not (last < QUADRATIC and last <= at.norm):
+    if not at.norm < NEARLY_CONVERGED:
         return None
-    # A nearly singular Hessian makes steps of this length out of roundoff: right but for the softest direction.
-    soft, quotient = softest(linear, at.unknowns, data)
-    if quotient > max(SINGULAR, EPS / at.norm):
-        return None
-    with np.errstate(over="ignore", invalid="ignore"):  # of a singular Hessian it may be of any size
-        soft, step = soft / at.sizes, at.step / at.sizes
-        return at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY)))
+    shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
+    return at.unknowns + at.step if shrinks or at.norm >= last / 2 else None
 
 
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:

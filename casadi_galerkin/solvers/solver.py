@@ -1,10 +1,9 @@
 """The solvers by name: each takes the stationarity conditions and a guess, and returns what was verified, or raises.
 
-`newton`, the default, is Newton's method with a line search.  Where it fails, IPOPT minimizes the action (long
-pendulum swings: 10 iterations where the stationarity conditions alone took 60 to 500), or solves the stationarity
-conditions, and Newton's method finishes from where that stopped.  At last the load is taken away that holds the guess
-in place (of 80 problems of stiff springs, whose paths are many and far from the straight line, it solved 36 of the 58
-that were lost).
+`newton`, the default, is Newton's method.  Where it fails, IPOPT minimizes the action (long pendulum swings: 10
+iterations where the stationarity conditions alone took 60 to 500), and Newton's method finishes from where IPOPT
+stopped.  At last the load is taken away that holds the guess in place (of 80 problems of stiff springs, whose paths are
+many and far from the straight line, it solved 36 of the 58 that were lost).
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ SolverLike: TypeAlias = Callable[[Stationarity, np.ndarray, Data, int], Solution
 class Solver:
     """A way to solve the equations of a problem, with its options: one of five, each verified in the same way.
 
-    - `newton`, the default of a BoundaryProblem, is Newton's method with a line search.  Where it fails, IPOPT on the
-      action rescues it, or IPOPT on the equations, or the load of the guess taken away.
+    - `newton`, the default of a BoundaryProblem, is Newton's method, with a line search and then with longer steps.
+      Where it fails, IPOPT on the action rescues it, or the load of the guess taken away.
     - `rootfinder` is CasADi's own Newton method, whose steps lower the residual.
     - `ipopt`, the default of a ControlProblem, takes the equations as constraints.
     - `minimizer` is IPOPT on the action of a BoundaryProblem, and finds minima only.
@@ -115,7 +114,6 @@ def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
     ways: dict[str, SolverLike] = {}
     if stationarity.variational:
         ways["IPOPT on the action"] = partial(interior_point.critical_point, minimize=True, max_iter=RESCUE_ITERATIONS)
-    ways["IPOPT"] = partial(interior_point.critical_point, max_iter=RESCUE_ITERATIONS)
     if stationarity.functional.numbering.positions:
         ways["taking away the load of the guess"] = remove_load
     return ways

@@ -42,6 +42,7 @@ class Iterate(NamedTuple):
     step : -∇²S⁻¹ ∇S
     sizes : sizes of the unknowns, see `Stationarity.sizes`
     norm : largest entry of the step relative to the sizes; NaN where the step is not finite
+    length, step_length : lengths of path and step, see `LinearSolver.newton_step`
     matrix : nonzeros of ∇²S at the point
     softest_direction : solution of the linear equations with ∇²S for a generic right-hand side
     """
@@ -50,6 +51,8 @@ class Iterate(NamedTuple):
     step: np.ndarray
     sizes: np.ndarray
     norm: float
+    length: float
+    step_length: float
     matrix: np.ndarray
     softest_direction: np.ndarray
 
@@ -212,8 +215,9 @@ class Linearization:
         self._solve(self.stationarity.linear_solver.newton_step, "step", "norm")
         arrays = self._arrays
         matrix, softest_direction = arrays["matrix"].copy(), arrays["softest_direction"].copy()
-        step, sizes, norm = arrays["step"].copy(), arrays["sizes"].copy(), arrays["norm"].item()
-        return Iterate(unknowns, step, sizes, norm, matrix, softest_direction)
+        step, sizes = arrays["step"].copy(), arrays["sizes"].copy()
+        norm, length, step_length = (arrays[name].item() for name in ("norm", "length", "step_length"))
+        return Iterate(unknowns, step, sizes, norm, length, step_length, matrix, softest_direction)
 
     def return_to(self, at: Iterate) -> None:
         """Restore ∇²S and the softest direction of an earlier iterate."""

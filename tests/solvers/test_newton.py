@@ -8,6 +8,7 @@ from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.roundoff import ZERO
+from casadi_galerkin.solvers.newton import damped_newton
 
 
 @pytest.mark.parametrize("degree", [1, 4, *slow(8)])
@@ -61,6 +62,25 @@ def test_catenoid_just_below_its_critical_height_is_found(half):
     path = cg.solve(cg.BoundaryProblem(catenoid, (-half, half), [1.0], [1.0]), cg.Galerkin(8), intervals=16)
     c = float(path(0.0)[0])
     assert c * np.cosh(half / c) == pytest.approx(1, rel=1e-12)
+
+
+def test_where_line_searches_end_free_steps_lead_on(capfd):
+    """They begin again from the straight line, and none is longer than this line."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: (
+            v[0] ** 2 + v[1] ** 2 / 2 + v[0] * v[1] * ca.cos(x[0] - x[1]) + 20 * ca.cos(x[0]) + 10 * ca.cos(x[1])
+        ),
+        (0.0, 1.5),
+        [-1.0, 0.5],
+        [1.5, -1.0],
+    )
+    transcription = cg.transcribe(problem, cg.Galerkin(4), 8)
+    data = transcription.data(transcription.mesh)
+    line = transcription.unknowns(transcription.guess_on_mesh(None, transcription.mesh).values.T, data)
+    found = damped_newton(transcription.stationarity, line, data, verbose=2)
+    numbers = [int(row.split()[0]) for row in capfd.readouterr().out.splitlines()]
+    assert numbers.count(1) == 2
+    assert found.iterations > numbers[-1]
 
 
 def test_verbose_prints_iterations_and_summary(capfd):
@@ -194,10 +214,9 @@ def test_a_kink_at_zero_does_not_hold_what_is_pulled_away(duration, end, how):
     def pulled(size):
         return lambda t, x, v: v[0] ** 2 / 2 - size(x[0]) + 2.5 * ca.sin(2 * np.pi * t / duration + 0.4) * x[0]
 
-    sharp, smooth = (
-        cg.solve(cg.BoundaryProblem(pulled(size), (0.0, duration), [0.0], [end]), **chosen)
-        for size, chosen in ((ca.fabs, how), (lambda x: ca.sqrt(x**2 + 1e-6), {"tol": 1e-6}))
-    )
+    sharp = cg.solve(cg.BoundaryProblem(pulled(ca.fabs), (0.0, duration), [0.0], [end]), **how)
+    rounded = cg.BoundaryProblem(pulled(lambda x: ca.sqrt(x**2 + 1e-6)), (0.0, duration), [0.0], [end])
+    smooth = cg.solve(rounded, tol=1e-6, guess=sharp)
     times = np.linspace(0, duration, 50)
     np.testing.assert_allclose(sharp(times), smooth(times), rtol=0, atol=0.05 * np.max(np.abs(smooth.x)))
 
