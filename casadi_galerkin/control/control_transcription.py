@@ -29,7 +29,7 @@ from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations
 from casadi_galerkin.control.second_order import SecondOrder
-from casadi_galerkin.control.starts import first_found
+from casadi_galerkin.control.starts import LONGER, first_found
 from casadi_galerkin.control.two_comparisons import compared, from_near
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
 from casadi_galerkin.functional.constrained_motion import check_points, off_constraint, tangent_at_joints
@@ -144,7 +144,8 @@ class ControlTranscription:
             and intervals, the solver starts warm, from its multipliers.  A guess of the controls is a callable
             t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N).  Where no path
             is found from a guess, the straight line is tried
-        mesh : (N + 1,) joints; where the duration is free their span is its guess
+        mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
+            that, `LONGER` times this, or what its bounds allow
         solver : ipopt or fatrop, with or without options
         verbose : 1 prints a summary, 2 also the solver's own output
 
@@ -174,8 +175,8 @@ class ControlTranscription:
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
 
-        def attempt(way: Solver, at: Guess | None) -> ControlTrajectory:
-            begun = self.starting_point(problem, calculus, at)
+        def attempt(way: Solver, at: Guess | None, longer: float = 1.0) -> ControlTrajectory:
+            begun = self.starting_point(problem, calculus, at, longer)
             return self._solved(way, problem, calculus.mesh, begun, verbose, began)
 
         attempts, other = [("from the guess", partial(attempt, solver, guess))], solver
@@ -184,6 +185,9 @@ class ControlTranscription:
             attempts.append(("from the same start", partial(attempt, other, guess)))
         if guess is not None and not isinstance(guess, ControlTrajectory):
             attempts.append(("from the straight line", partial(attempt, other, None)))
+        bounds = problem.duration_bounds  # without them the cost may fall for ever
+        if bounds is not None and np.isfinite(bounds[1]).all() and not isinstance(guess, ControlTrajectory):
+            attempts.append((f"from {LONGER:g} times the duration", partial(attempt, other, guess, LONGER)))
         with fork_waits:  # it builds its Functions when they are first needed
             path = first_found(attempts)
         if verbose:
@@ -278,8 +282,9 @@ class ControlTranscription:
         problem: ControlProblem,
         calculus: DiscreteCalculus,
         guess: Guess | None,
+        longer: float = 1.0,
     ) -> StartingPoint:
-        """The starting point of a solve from a guess.
+        """The starting point of a solve from a guess, with free durations that are `longer` by this factor.
 
         The equations of motion are scaled by the sizes of their terms along the guess, so that the absolute tolerance
         of the solver does not depend on units.  These sizes are limited to ten times those on the straight line
@@ -288,7 +293,7 @@ class ControlTranscription:
         of the guess are minus the residuals of the equations of the joints with momenta of zero.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
-        values = first_values(problem, chain, calculus, guess, near)
+        values = first_values(problem, chain, calculus, guess, near, longer)
         wild = guess is not None and near is None  # or noisy; the straight line is not
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):

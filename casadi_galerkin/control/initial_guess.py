@@ -22,6 +22,7 @@ def first_values(
     calculus: DiscreteCalculus,
     guess: Guess | None,
     near: ControlTrajectory | None,
+    longer: float = 1.0,
 ) -> dict[str, np.ndarray]:
     """Values of the fields at a guess, within the bounds and with the given values; for `near` see `near_answer`.
 
@@ -29,8 +30,8 @@ def first_values(
     zero, or in the middle of their bounds unless zero lies inside of these: from zero on a bound, as of a thruster, a
     quadrotor took ten times as many iterations, or found nothing.  Where all components follow rates, controls are as
     near to zero as their bounds allow: from the middle, the infected of epidemics grew without bounds on coarse meshes.
-    Momenta and impulses are left out, and the units of momenta are one.  Free durations are those of the mesh,
-    within their bounds, or of an earlier solution.
+    Momenta and impulses are left out, and the units of momenta are one.  Free durations are `longer` times those of the
+    mesh, within their bounds, or those of an earlier solution.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
@@ -41,7 +42,7 @@ def first_values(
     path, before = _path(problem, calculus, path_guess), degree * chain.crossed
     slopes, parameters = np.diff(path, axis=0) / np.diff(times)[:, None], np.array(problem.parameters or ())
     arrived, arriving, at_ends = path[before], slopes[before - 1, :dm], slopes[[0, -1]]
-    durations = np.diff(of_phases)
+    durations = longer * np.diff(of_phases)
     if isinstance(guess, ControlTrajectory):
         at_ends = np.array((guess.start_velocity, guess.end_velocity))
         if len(before):

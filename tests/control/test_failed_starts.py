@@ -13,6 +13,28 @@ import casadi_galerkin as cg
 guesses = script("guesses")
 
 
+def test_a_free_duration_is_begun_with_a_longer_one_where_none_is_found():
+    """A mass on a spring, from x = 3 to rest at 0 in least time: its force is the weaker one, so it has to swing."""
+    swing = double_integrator(
+        lagrangian=lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2,
+        t_span=(0.0, 5.0),
+        start=[3.0],
+        end=[0.0],
+        running_cost=lambda t, x, v, u: 1 + 0 * u[0],
+        control_bounds=(-1.0, 1.0),
+        duration_bounds=(0.5, 30.0),
+    )
+    path = cg.solve(swing, cg.Galerkin(4), intervals=30)
+    assert "from 4 times the duration, after IPOPT stopped with 'Infeasible" in path.solver
+    assert path.t[-1] == pytest.approx(np.pi + 2 * np.arcsin(0.75), rel=2e-3)  # semicircles about 1 and -1
+
+
+def test_a_longer_duration_that_leads_nowhere_is_told():
+    far = double_integrator(end=[100.0], control_bounds=(-1.0, 1.0), duration_bounds=(0.5, 10.0))
+    with pytest.raises(cg.ConvergenceError, match="IPOPT found no path from 4 times the duration, either"):
+        cg.solve(far, cg.Galerkin(3), intervals=10)
+
+
 def test_the_straight_line_is_begun_from_where_a_guess_leads_nowhere():
     """Of 40 guesses for this acrobot, 11 led nowhere."""
     program = cg.transcribe(guesses.acrobot(), cg.Galerkin(guesses.DEGREE), guesses.INTERVALS)
