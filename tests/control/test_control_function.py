@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import NEAR, cartesian_pendulum, double_integrator, pendulum, staged
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -22,7 +23,7 @@ def arguments(problem, path, **changes):
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
-@pytest.mark.parametrize("name", NEAR)
+@pytest.mark.parametrize("name", ["bang-bang", *slow("cart-pole", "everything")])
 def test_function_of_the_data_is_the_solve(name, solver):
     problem, method, changes = NEAR[name]
     program = cg.transcribe(problem(), method, 10)
