@@ -68,22 +68,14 @@ from casadi_galerkin.solvers.solver import SolverLike
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 
 FIRST_NODES = 64  # nodes of the first mesh at any degree: fewer may miss features of the path, more cost time
-TRUNCATION_FLOOR = 1e-14  # truncation error that rounding of the node values alone suggests
-ROUNDOFF_MARGIN = 0.1  # share of the tolerance below which rounding, some eps / regularity, need not be estimated
-ILL_CONDITIONED = 1e4  # roundoff floor over eps from which the message blames the problem's conditioning
 # agreement below which a mesh is halved; at 0.83 some 3 % of undetermined kinks were accepted, at 0.95 a few
 REQUIRED_AGREEMENT = 0.99
-MOST_HALVINGS = 8  # most meshes that are halved because the two degrees disagree; beyond, only rounding differed
 FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls with the mesh
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
 # interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
 TIME_ROUNDING = 1e5 * EPS
-# A large error on more than so many intervals, which together take less than this part of the duration, is that of a
-# kink at a place that rounding hides.
-CROWD_SIZE, CROWD_LENGTH = 20, 1e-3
 INTERMEDIATE = 1e-3, 500  # tolerance and largest number of intervals for the intermediate paths of a homotopy
-INDICATOR_PATIENCE = 3  # successive meshes on which an error indicator may stay large at one place before an error
-TRUNCATION_PATIENCE = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
+PATIENCE = 8  # meshes in a row that do not halve an error; intervals that move to a layer need up to 6
 
 
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
@@ -106,10 +98,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def refine(self, level: CriticalPoint) -> tuple[CriticalPoint, float]:
         """Refine as the base class does, with the records of earlier first paths deleted."""
-        # by source: the last error, its time and interval length, and on how many meshes it stayed there
-        self.stagnation: dict[str, tuple[float, float, float, int]] = {}
-        self.agreements: list[float] = []  # `agreement` of the two degrees on each mesh
-        self.smallest_errors: dict[str, float] = {}  # smallest errors so far, by their source
+        # by source the smallest error so far, and on how many meshes in a row it was not halved
+        self.smallest_errors: dict[str, tuple[float, int]] = {}
         return super().refine(level)
 
     @property
@@ -140,35 +130,33 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         path = level.polynomial
         truncation = truncation_error(path)
         largest = float(np.max(truncation))
-        if largest > max(self.tol, TRUNCATION_FLOOR):
-            self.check_stagnation(level, "Legendre coefficients", truncation, TRUNCATION_PATIENCE)
+        if largest > max(self.tol, FLOOR_FACTOR * EPS):
             return Estimate(largest, False, "Legendre coefficients", self.parts(truncation))
         self.check_time()
-        floor = self.floor(level)
-        higher = self.graph(path).higher
-        error, varied = discretization_error(higher, path, refined=not self.regular(level))
+        graph, floor, refined = self.graph(path), self.floor(level), not self.regular(level)
+        error, varied = discretization_error(graph.higher, path, refined)
         self.check_time()
         error = math.hypot(error, floor)
-        mesh, stretched = path.mesh, self.graphs.problem.energy is not None
-        self.roundoff_level = FLOOR_FACTOR * max(
-            floor, EPS * np.max(np.abs(mesh)) / (mesh[-1] - mesh[0]) if stretched else 0.0
-        )
+        self.roundoff_level = FLOOR_FACTOR * max(floor, EPS * np.max(np.abs(path.mesh)) / np.ptp(path.mesh))
         indicators = scaled_indicators(self.graphs.problem, path, level.momentum)
         source, indicator = max(indicators.items(), key=lambda item: float(np.max(item[1])))
         if np.max(indicator) > self.tol:
-            self.check_stagnation(level, source, indicator, INDICATOR_PATIENCE)
             parts = parts_wanted(indicator, 1, self.tol)  # at a kink it falls in proportion to the step
             return Estimate(float(np.max(indicator)), False, source, parts)
         error = max(error, float(np.max(indicator)))
-        if error <= self.tol and not self.degrees_agree(level, varied):
-            return Estimate(1 - self.agreements[-1], False, "responses to forces", np.full(len(truncation), 2.0))
+        if error <= self.tol:
+            agreed = agreement(graph, path, varied, refined)
+            if agreed < REQUIRED_AGREEMENT:
+                graph.check_second_variation(level)
+                words = "responses to forces, which differ with the degree: the ends are nearly conjugate"
+                return Estimate(1 - agreed, False, words, np.full(len(truncation), 2.0))
         shares = np.maximum(truncation, TINY) / max(float(np.max(truncation)), TINY)
         magnified = ": the ends are nearly conjugate" if error > 1 else ""
-        return Estimate(error, True, f"degree {higher.method.degree}{magnified}", self.parts(error * shares))
+        return Estimate(error, True, f"degree {graph.higher.method.degree}{magnified}", self.parts(error * shares))
 
     def regular(self, level: CriticalPoint) -> bool:
         """Whether the path is so regular that an error of eps in its values stays far below the tolerance."""
-        return ROUNDOFF_MARGIN * self.tol * level.solution.regularity > EPS
+        return self.tol * level.solution.regularity > FLOOR_FACTOR * EPS
 
     def floor(self, level: CriticalPoint) -> float:
         """The roundoff error of the path, or zero where it is far below the tolerance; refuses a tolerance below it.
@@ -182,11 +170,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         floor = roundoff_error(graph, level)
         if floor > self.tol:
             graph.refuse_conjugate(level)
-            cause = (
-                "the ends are nearly conjugate, or the action's terms cancel"
-                if floor > ILL_CONDITIONED * EPS
-                else "doubles hold no more digits"
-            )
+            cause = "doubles hold no more digits, the ends are nearly conjugate, or the action's terms cancel"
             reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here: {cause}"
             hint = "Try a looser tolerance, or a method of higher degree, with fewer intervals and less roundoff"
             change = graph.softest(level.solution.unknowns, level.solution.data)[1]
@@ -202,30 +186,24 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """The graph on the mesh of a path."""
         return self.graphs.transcription(self.method, path.mesh)
 
-    def degrees_agree(self, level: CriticalPoint, varied: PiecewisePolynomial) -> bool:
-        """Whether the responses of the path to forces agree in both degrees.
-
-        Raises an error if the path belongs to a family.
-        """
-        graph = self.graph(level.polynomial)
-        self.agreements.append(agreement(graph, level.polynomial, varied, refined=not self.regular(level)))
-        if self.agreements[-1] >= REQUIRED_AGREEMENT:
-            return True
-        graph.check_second_variation(level)
-        if len(self.agreements) == MOST_HALVINGS:
-            reason = "how far forces move the path differs with the degree on any mesh: the ends are nearly conjugate"
-            raise self.stopped(reason, level, 1 - self.agreements[-1])
-        return False
-
     def better_mesh(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> np.ndarray:
         """The equidistributed mesh.
 
         Where the last mesh did not halve the error, the path is less smooth than the order of the method requires, and
-        the new mesh has more intervals than the last.  Only errors from the same source are compared.
+        the new mesh has more intervals than the last.  Only errors from the same source are compared.  An error that
+        stays on `PATIENCE` meshes does not fall on any.
         """
-        mesh, smallest = level.polynomial.mesh, self.smallest_errors.get(estimate.source, math.inf)
-        fewest = FEWEST if estimate.error < smallest / 2 else len(mesh)
-        self.smallest_errors[estimate.source] = min(smallest, estimate.error)
+        mesh, (smallest, stayed) = level.polynomial.mesh, self.smallest_errors.get(estimate.source, (math.inf, 0))
+        stayed = 0 if estimate.error < smallest / 2 else stayed + 1
+        self.smallest_errors[estimate.source] = min(smallest, estimate.error), stayed
+        if stayed == PATIENCE:
+            words, parts = f"an error of {estimate.error:.1e}, measured by the {estimate.source},", estimate.detail
+            words += " stays on any mesh"
+            if np.ptp(parts) > 0:
+                when = float(mesh[np.argmax(parts / np.diff(mesh))])
+                words += f" near t = {when:.9g}. {self.not_smooth(when, np.ptp(mesh))}"
+            raise self.stopped(words, level, estimate.error)
+        fewest = len(mesh) if stayed else FEWEST
         return equidistributed(mesh, estimate.detail, fewest=fewest, breakpoints=self.breakpoints)
 
     def solve_on(self, mesh: np.ndarray, level: CriticalPoint) -> CriticalPoint:
@@ -240,21 +218,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
         steps = np.maximum(SHORTEST * (mesh[-1] - mesh[0]), TIME_ROUNDING * inside)
         return np.maximum(steps, NEAREST * np.max(np.abs(mesh)))
-
-    def check_stagnation(self, level: CriticalPoint, source: str, errors: np.ndarray, patience: int) -> None:
-        """Stop where an error at one place does not fall with the mesh, or is spread over many short intervals."""
-        mesh, worst, crowd = level.polynomial.mesh, float(np.max(errors)), errors > np.max(errors) / 2
-        duration, crowd_length = mesh[-1] - mesh[0], np.sum(np.diff(mesh)[crowd])
-        hidden = np.count_nonzero(crowd) > CROWD_SIZE and crowd_length < CROWD_LENGTH * duration
-        i = int(np.argmax(errors))
-        when, step = (mesh[i] + mesh[i + 1]) / 2, mesh[i + 1] - mesh[i]
-        last, place, width, count = self.stagnation.get(source, (math.inf, 0.0, 0.0, 0))
-        count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
-        self.stagnation[source] = worst, when, step, count
-        if count == patience or hidden:
-            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, duration)
-            reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {not_smooth}"
-            raise self.stopped(reason, level, worst)
 
     @property
     def local_solver(self) -> SolverLike:
