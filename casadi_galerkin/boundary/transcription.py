@@ -26,7 +26,6 @@ from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.velocities import convex
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import END_MOTIONS
 from casadi_galerkin.solution.error_indicators import kinks_in_place
@@ -248,7 +247,7 @@ class SecondVariation:
         index, of_higher = (negative_eigenvalues(*self._at_path(graph.for_method(method))) for method in methods)
         if index is None or index != of_higher:
             return None
-        transform = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
+        transform = legendre_transform(problem.numeric.lagrangian)
         ends = np.array([0.0, 1.0])  # of every interval
         return index if convex(transform, *path.sampled(ends)) else None
 

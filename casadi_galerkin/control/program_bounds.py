@@ -18,7 +18,6 @@ from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
 from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.problem import ENDS
 
 LEAST_SIZE = EPS / FEASIBLE  # size of terms, over that of what they are part of, from which their rounding is feasible
@@ -134,18 +133,10 @@ def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
 
 
 def _constraint_at_ends(problem: ControlProblem, chain: Chain) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Rows of a constraint and of its time derivative at both ends, and whether what is given satisfies them already.
-
-    What is given of a position does, and then a given velocity, where the constraint depends on nothing free; and rest
-    does wherever the constraint does not depend on time.
-    """
-    rows, ends, at_rest = chain.rows, list[tuple[np.ndarray, np.ndarray]](), ~problem.moving_constraints
+    """Rows of a constraint and of its time derivative at both ends, and whether given values satisfy them already."""
+    rows, ends = chain.rows, list[tuple[np.ndarray, np.ndarray]]()
     of_constraint = rows["start_constraint"], rows["constraint"][-1, -1]
-    for k, (name, constraint) in enumerate(zip(ENDS, of_constraint, strict=True)):
-        x, v = getattr(problem, name), getattr(problem, f"{name}_velocity")
-        free = rows_that_depend(problem.constraint, POSITIONS, [value is None for value in x])
-        satisfied = problem.determined_constraints(k) & ~free
-        tangent = (satisfied & (None not in v)) | (at_rest & all(rate == 0 for rate in v))
+    for name, constraint, (satisfied, tangent) in zip(ENDS, of_constraint, problem.constraint_satisfied, strict=True):
         ends += [(constraint, satisfied), (rows[f"{name}_tangent"], tangent)]
     return ends
 

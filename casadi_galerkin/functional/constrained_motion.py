@@ -20,7 +20,7 @@ from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.functional.linear_equations import solve_scaled
-from casadi_galerkin.problems.callables import depends_on_time, with_parameters
+from casadi_galerkin.problems.callables import depends_on_time
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import Problem
 
@@ -70,12 +70,12 @@ def _solver(motion: ca.Function) -> ca.Function:
 def motion_of(problem: Problem, force: ca.Function | None = None) -> ca.Function | None:
     """`constrained_motion` of a problem with its parameters put in; None where there is no constraint.
 
-    The force may be left out where only momenta and tangents are asked for, which do not depend on it.
+    The force (t, x, v) may be left out where only momenta and tangents are asked for, which do not depend on it.
     """
     if problem.constraint is None:
         return None
-    functions = problem.lagrangian, problem.constraint, force
-    return constrained_motion(*(with_parameters(f, problem.parameters) for f in functions))
+    numeric = problem.numeric
+    return constrained_motion(numeric.lagrangian, numeric.constraint, force)
 
 
 def _at(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
@@ -142,7 +142,7 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
     parts = sampling_parts(path.degree)
     x, times = path.values_at_parts(parts).reshape(len(path.values), -1), times_at(path.mesh, parts)
     moves = np.ptp(x, axis=1, keepdims=True) + STILL * component_sizes(x)[:, None]
-    measured = _missed(with_parameters(problem.constraint, problem.parameters)).map(len(times))
+    measured = _missed(problem.numeric.constraint).map(len(times))
     missed, largest = (np.array(a) for a in measured(times[None, :], x, np.broadcast_to(moves, x.shape)))
     part = np.max(missed / np.maximum(np.max(largest, axis=1, keepdims=True), TINY), axis=0)
     k = int(np.argmax(part))
@@ -171,7 +171,7 @@ def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.nda
     """λ·∂g/∂t, the power that a constraint takes from the path, which is zero unless it depends on time; (K,)."""
     if not depends_on_time(problem.constraint):
         return 0 * t
-    motion = motion_of(problem, problem.force)
+    motion = motion_of(problem, problem.numeric.force)
     return np.sum(multipliers(motion, t, x, v) * _at(motion, t, x, v)[3], axis=0)
 
 
@@ -195,8 +195,8 @@ def equations_of_motion(problem: ControlProblem) -> ca.Function:
     For a mechanical component these are ∂L/∂v, and ∂L/∂x + F with the constraint's force; for one that follows a rate,
     x and that rate; (d,) each.
     """
-    functions = problem.lagrangian, problem.force, problem.rates, problem.constraint
-    lagrangian, force, rates, constraint = (with_parameters(f, problem.parameters) for f in functions)
+    numeric = problem.numeric
+    lagrangian, force, rates, constraint = numeric.lagrangian, numeric.force, numeric.rates, numeric.constraint
     parts, u = [0, problem.mechanical, problem.dimension], ca.SX.sym("u", problem.controls)
     t, x, v = lagrangian.sx_in()
     work, momentum = (ca.vertsplit(ca.gradient(lagrangian(t, x, v), by), parts)[0] for by in (x, v))

@@ -10,7 +10,6 @@ import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend, sizes_of_terms
 
 CONSTRAINT_TOLERANCE = 1e-12  # accepted violation by a given position or velocity, relative to the terms of g
@@ -46,7 +45,7 @@ def constraint_at_ends(problem: Any) -> Iterator[str]:
     Of a position that is given in part, constraints of given components alone are looked at.
     """
     for name, when, where, known in places(problem):
-        function = with_parameters(problem.constraint, problem.parameters)
+        function = problem.numeric.constraint
         missing = np.array([value is None for value in where])
         free = rows_that_depend(function, POSITIONS, missing)
         conditions, unknowns = (int(np.count_nonzero(some)) for some in (free, missing))
@@ -83,7 +82,7 @@ def leaving_velocity(problem: Any) -> Iterator[str]:
         v = getattr(problem, of)
         if v is None or None in (*x, *v):
             continue
-        function = with_parameters(problem.constraint, problem.parameters)
+        function = problem.numeric.constraint
         (time, place), velocity = function.sx_in(), ca.SX.sym("v", len(v))
         rate = ca.jtimes(function(time, place), place, velocity) + ca.jacobian(function(time, place), time)
         rates, _, slopes = (np.array(a) for a in relative_residuals(rate, [time, place, velocity])(when, x, v))

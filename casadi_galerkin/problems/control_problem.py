@@ -250,19 +250,28 @@ class ControlProblem(Problem):
         """Number of holonomic constraints."""
         return 0 if self.constraint is None else self.constraint.numel_out(0)
 
-    @property
-    def moving_constraints(self) -> np.ndarray:
-        """Which holonomic constraints depend on time; (constraints,)."""
-        return rows_that_depend(self.constraint, 0, [True])
-
     def determined_constraints(self, end: int) -> np.ndarray:
         """Which holonomic constraints depend at the start, 0, or the end, 1, on no free time and no free parameter."""
         open_ones = np.zeros(self.constraints, dtype=bool)
         if self.parameter_bounds is not None:
             open_ones |= rows_that_depend(self.constraint, 2, np.less(*self.parameter_bounds))
         if end == 1 and self.duration_bounds is not None:
-            open_ones |= self.moving_constraints
+            open_ones |= rows_that_depend(self.constraint, TIME, [True])
         return ~open_ones
+
+    @property
+    def constraint_satisfied(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Which holonomic constraints, and which of their rates, what is given satisfies at the start and at the end.
+
+        What is given of a position does, and then a given velocity, where the constraint depends on nothing free; and
+        rest does wherever the constraint does not depend on time.
+        """
+        at_rest, ends = ~rows_that_depend(self.constraint, TIME, [True]), []
+        for k, (x, v) in enumerate(((self.start, self.start_velocity), (self.end, self.end_velocity))):
+            free = rows_that_depend(self.constraint, POSITIONS, [value is None for value in x])
+            satisfied = self.determined_constraints(k) & ~free
+            ends.append((satisfied, (satisfied & (None not in v)) | (at_rest & all(rate == 0 for rate in v))))
+        return ends
 
     @property
     def mechanical(self) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import check_method
 from casadi_galerkin.calculus.numbers import components, counted, finite, numbers, time_span, times_inside
+from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.statements import Reader, Rule, check, read
 
 ENDS = ("start", "end")
@@ -70,6 +71,19 @@ class Problem:
     def dimension(self) -> int:
         """Number d of coordinates."""
         return self.lagrangian.size1_in(1)
+
+    @property
+    def numeric(self: Stated) -> Stated:
+        """The problem with the values of its parameters put into its callables, which no longer take any."""
+        if self.parameters is None:
+            return self
+
+        def put(value: Any) -> Any:
+            if isinstance(value, tuple) and value and isinstance(value[0], ca.Function):  # with its bounds
+                return put(value[0]), *value[1:]
+            return with_parameters(value, self.parameters) if isinstance(value, ca.Function) else value
+
+        return with_values(self, **{name: put(value) for name, value in vars(self).items()} | {"parameters": None})
 
     def varied(self: Stated, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> Stated:
         """Copy with other given values.

@@ -28,7 +28,6 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import Quadrature
 from casadi_galerkin.functional.constrained_motion import equations_of_motion
 from casadi_galerkin.functional.mapping import at_places
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import STEPPING, entries_within
 from casadi_galerkin.solution.jump_detection import MARGIN, JumpDetector
@@ -36,12 +35,12 @@ from casadi_galerkin.solution.jump_detection import MARGIN, JumpDetector
 HALVINGS = 26  # of a share of time, which leave 1e-8 of it
 
 
-def integrand(problem: ControlProblem, parameters: tuple[float, ...] | None) -> ca.Function:
+def integrand(problem: ControlProblem) -> ca.Function:
     """(t, z) -> I, ∂I/∂t, ∂I/∂u and the columns of ∂²I/∂u², without the force of a holonomic constraint."""
     motion = equations_of_motion(problem)
     *point, push = motion.sx_in()
-    cost = with_parameters(problem.running_cost, parameters)(*point)
-    limited = with_parameters(problem.path_constraint[0], parameters)(*point)
+    cost = problem.numeric.running_cost(*point)
+    limited = problem.numeric.path_constraint[0](*point)
     costate, rate = (ca.SX.sym(name, problem.dimension) for name in ("costate", "costate_rate"))
     multipliers, (momentum, changes) = ca.SX.sym("multipliers", limited.numel()), motion(*point, 0 * push)
     total = cost + ca.dot(costate, changes) + ca.dot(rate, momentum) + ca.dot(multipliers, limited)

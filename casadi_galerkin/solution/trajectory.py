@@ -172,7 +172,10 @@ class Trajectory(Path):
         """
         if self.problem.constraint is None:
             raise ValueError("the problem has no constraint, so no multipliers")
-        motion, times = motion_of(self.problem, self._force()), times_within(self.t, t)
+        motion, times = (
+            motion_of(self.problem, with_parameters(self._force(), self.parameters)),
+            times_within(self.t, t),
+        )
         flat = times.ravel()
         velocity, joint = self(flat, 1), np.minimum(np.searchsorted(self.t, flat), len(self.t) - 1)
         velocity = np.where(self.t[joint] == flat, self.velocity[:, joint], velocity)
@@ -276,7 +279,7 @@ class Trajectory(Path):
     @property
     def _lagrangian(self) -> ca.Function:
         """L(t, x, v) with the parameters inserted."""
-        return with_parameters(self.problem.lagrangian, self.parameters)
+        return self.problem.numeric.lagrangian
 
     def _kind(self) -> str:
         """The kind of critical point, in words."""

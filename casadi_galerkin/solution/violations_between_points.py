@@ -19,7 +19,6 @@ from casadi_galerkin.functional.constrained_motion import equations_of_motion
 from casadi_galerkin.functional.interval import SlopeBasis
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import bound_excess
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_path import ControlPath
@@ -136,7 +135,7 @@ class BetweenPoints:
 
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """As in `ControlTrajectory`."""
-        constraint = with_parameters(self.problem.path_constraint[0], self.path.parameters)
+        constraint = self.problem.numeric.path_constraint[0]
         times, x, v = self.path.polynomial.sampled(parts)
         (values,) = at_places(constraint, times, x, v, self.control.at(parts))
         return values.reshape(len(values), len(self.path.t) - 1, len(parts))
@@ -163,7 +162,7 @@ class BetweenPoints:
         if not len(values):
             return np.empty(values.shape[:2])
         t, *z = self.problem.path_constraint[0].sx_in()[:4]
-        constraint = with_parameters(self.problem.path_constraint[0], self.path.parameters)
+        constraint = self.problem.numeric.path_constraint[0]
         derivative, path, joints = ca.jacobian(constraint(t, *z), ca.vertcat(*z)), self.path, self.path.t
         sizes = np.concatenate((path.sizes, component_sizes(path(joints, 1)), component_sizes(self.control.values)))
         times = joints[:-1] + np.diff(joints) * np.argmax(excess, axis=2) / (values.shape[2] - 1)
@@ -183,7 +182,7 @@ class BetweenPoints:
     @cached_property
     def integrand(self) -> ca.Function:
         """The integrand of the cost with its multipliers."""
-        return integrand(self.problem, self.path.parameters)
+        return integrand(self.problem)
 
     @cached_property
     def jump_effects(self) -> np.ndarray:

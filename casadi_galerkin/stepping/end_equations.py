@@ -27,7 +27,6 @@ import numpy as np
 
 from casadi_galerkin.functional.boundary_terms import rows_of_ends
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
 
 
@@ -38,7 +37,7 @@ def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Func
     it is free.  The equations are those of the module's docstring.
     """
     d, times = problem.dimension, problem.t_span
-    constraint = with_parameters(problem.constraint, problem.parameters)
+    constraint = problem.numeric.constraint
     rows, imposed = rows_of_ends(problem, plane)
     x, p = ([ca.SX.sym(f"{name}{k}", d) for k in (0, 1)] for name in "xp")
     own = [ca.SX.sym("own", rows.size1_in(2))]

@@ -16,7 +16,6 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.constrained_motion import off_constraint, tangent_momenta
 from casadi_galerkin.functional.velocities import velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -34,7 +33,7 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     """
     began = time.perf_counter()
     p, v = start_state(problem)
-    action = with_parameters(problem.lagrangian, problem.parameters)(problem.t_span[0], problem.position, v)
+    action = problem.numeric.lagrangian(problem.t_span[0], problem.position, v)
     if np.isnan(float(action)):
         raise ValueError(f"the lagrangian is not a number at the start, x = {problem.position}, v = {v.tolist()}")
     stepper = Stepper(problem, method)
@@ -50,7 +49,7 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
 
 def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
     """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
-    legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
+    legendre = legendre_transform(problem.numeric.lagrangian)
     x, start = np.array(problem.position), problem.t_span[0]
     v, given = np.array(problem.velocity or np.zeros(len(x))), problem.momentum
     if given is not None:

@@ -27,7 +27,6 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
 from casadi_galerkin.functional.constrained_motion import tangent_momenta
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
@@ -110,8 +109,9 @@ def shoot(
     solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss)):.1e}"
     roll = shooting.stepper.unstretched(shot.roll)
     action = float(roll.action.sum())
-    if problem.end_action is not None:
-        action += float(with_parameters(problem.end_action, problem.parameters)(roll.x[:, 0], roll.x[:, -1]))
+    end_action = problem.numeric.end_action
+    if end_action is not None:
+        action += float(end_action(roll.x[:, 0], roll.x[:, -1]))
     if problem.energy is not None:  # the duration asked for was a guess
         problem = problem.varied({}, (float(roll.mesh[0]), float(roll.mesh[-1])))
     at = roll.mesh[:1], roll.x[:, :1]  # the steps do not depend on the normal part of the first momentum
@@ -189,7 +189,7 @@ def _line(problem: BoundaryProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     start, end = problem.given_positions
     x = np.nan_to_num(np.where(np.isnan(start), end, start))
     v = np.nan_to_num((end - start) / (problem.t_span[1] - problem.t_span[0]))
-    legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
+    legendre = legendre_transform(problem.numeric.lagrangian)
     return x, np.array(legendre(problem.t_span[0], x, v)[0]).ravel(), v
 
 

@@ -17,7 +17,6 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.constrained_motion import check_points
 from casadi_galerkin.functional.interval import TAYLOR, SlopeBasis, interval, newton_iteration
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 
@@ -71,8 +70,8 @@ class Stepper:
 
     def __init__(self, problem: Problem, method: Galerkin, stretched: bool = False) -> None:
         began = time.perf_counter()
-        functions = problem.lagrangian, problem.force, problem.constraint
-        lagrangian, force, constraint = (with_parameters(f, problem.parameters) for f in functions)
+        numeric = problem.numeric
+        lagrangian, force, constraint = numeric.lagrangian, numeric.force, numeric.constraint
         self.method, self.stretched = method, stretched
         check_points(constraint, method)
         self.dimension, self.basis = lagrangian.size1_in(1) + stretched, SlopeBasis(method.degree)

@@ -25,7 +25,6 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.idle_breakpoints import with_joined_phases
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import Problem, map_times, section_times
@@ -81,7 +80,7 @@ class ReferenceSolution:
     def __init__(self, path: Trajectory, measure: Measure | None, given: Reference | None = None) -> None:
         self._path, self._measure = path, measure
         self._at = path if given is None else partial(sampled, "the reference", given, dimension=len(path.x))
-        self._lagrangian = with_parameters(path.problem.lagrangian, path.parameters)
+        self._lagrangian = path.problem.numeric.lagrangian
         calculus = DiscreteCalculus(path.method, path.t)
         values, kinetic = self._terms(path, calculus.quadrature_times)
         self._energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
