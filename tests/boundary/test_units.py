@@ -5,6 +5,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -67,7 +68,7 @@ def solved(number, units):
     return cg.solve(stated(ends, units, *acting), METHOD, intervals=INTERVALS)
 
 
-@pytest.mark.parametrize("number", NUMBERS, **NAMES)
+@pytest.mark.parametrize("number", [0, 6, *slow(*(number for number in NUMBERS if number not in (0, 6)))], **NAMES)
 def test_a_path_is_the_same_in_any_units(number):
     expected = solved(number, ONE)
     for units in UNITS:
@@ -76,7 +77,7 @@ def test_a_path_is_the_same_in_any_units(number):
         assert path.action / units[0] == pytest.approx(expected.action, rel=0, abs=SAME * 100)
 
 
-@pytest.mark.parametrize("number", NUMBERS[2:], **NAMES)
+@pytest.mark.parametrize("number", [2, *slow(*NUMBERS[3:])], **NAMES)
 def test_derivatives_by_the_ends_are_the_same_in_any_units(number):
     expected, *others = (cg.sensitivity(solved(number, units)) for units in [ONE, *UNITS])
     for other in others:
@@ -85,7 +86,7 @@ def test_derivatives_by_the_ends_are_the_same_in_any_units(number):
 
 
 # a given energy is no duration, and a path at rest has no momentum that its end could be judged by
-@pytest.mark.parametrize("number", [number for number in NUMBERS if number not in (1, 7)], **NAMES)
+@pytest.mark.parametrize("number", [0, *slow(*(number for number in NUMBERS if number not in (0, 1, 7)))], **NAMES)
 def test_a_shot_is_the_same_in_any_units(number):
     (ends, *acting), expected = STATED[number], solved(number, ONE)
     for units in UNITS:

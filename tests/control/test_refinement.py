@@ -254,7 +254,7 @@ def test_a_control_that_jumps_where_the_speed_limit_is_met_is_seen(asked):
 
 
 @pytest.mark.parametrize("asked", [{"tol": 1e-7}, {"cost_tol": 1e-9}], ids=str)
-@pytest.mark.parametrize("stated", ["control_bounds", "path_constraint"])
+@pytest.mark.parametrize("stated", ["control_bounds", *slow("path_constraint")])
 def test_a_bound_of_the_control_that_no_point_meets_is_seen(stated, asked):
     """It acts in the first thousandth; degrees 8 and 10 on the same mesh agreed to 1e-11 on a path 9e-7 away."""
     most, law = 6 - 12e-3, (lambda t, x, v, u: u, -np.inf, 6 - 12e-3)
@@ -299,7 +299,7 @@ FREE = {
 }
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-7])
+@pytest.mark.parametrize("tol", [1e-3, *slow(1e-7)])
 @pytest.mark.parametrize("name", FREE)
 def test_a_cost_that_is_zero_is_told_at_once(name, tol):
     """Two costs of 1e-29 and 1e-34 were far apart, relative to themselves, on all of 80 meshes.
@@ -341,7 +341,7 @@ def with_price(price):
     return double_integrator(running_cost=lambda t, x, v, u: price * u[0] ** 2, control_bounds=(-5.0, 5.0))
 
 
-@pytest.mark.parametrize("price", [5e-10, 5e-14, 1e6])
+@pytest.mark.parametrize("price", [5e-10, *slow(5e-14, 1e6)])
 def test_the_unit_of_the_cost_changes_nothing(price):
     """The solver's tolerances are absolute: from an earlier path a small cost is measured in its own size."""
     path, alike = cg.solve(with_price(price), tol=1e-5), cg.solve(with_price(1.0), tol=1e-8)

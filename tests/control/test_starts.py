@@ -9,7 +9,7 @@ import pytest
 from control_problems import double_integrator, plane
 
 import casadi_galerkin as cg
-from casadi_galerkin.control import refinement
+from casadi_galerkin.control import control_refinement
 
 CENTER, RADIUS = 0.05, 0.25  # of a disc beside the straight line, which is cheaper to pass below
 
@@ -59,8 +59,8 @@ def test_optima_are_refined_as_long_as_they_may_be_the_best(monkeypatch):
         seen.append(level.cost)
         return replace(level, cost=exact[level.cost])
 
-    monkeypatch.setattr(refinement, "optima_of", lambda *arguments: (optima, "; all of them"))
-    monkeypatch.setattr(refinement.ControlRefinement, "refined", refined)
+    monkeypatch.setattr(control_refinement, "optima_of", lambda *arguments: (optima, "; all of them"))
+    monkeypatch.setattr(control_refinement.ControlRefinement, "refined", refined)
     best = cg.solve(round_a_disc(), METHOD, 4, tol=1e-3, starts=3)
     assert seen == [1.0, 1.3]
     assert best.cost == 1.1
@@ -81,7 +81,7 @@ def test_a_random_path_where_a_callable_is_not_finite_fails_and_a_guess_there_is
 
 
 def test_the_time_limit_holds_for_all_starts_together(monkeypatch):
-    monkeypatch.setattr(refinement, "STARTS_TIME_SHARE", 0.005)  # of a time that a slow machine has, too
+    monkeypatch.setattr(control_refinement, "STARTS_TIME_SHARE", 0.005)  # of a time that a slow machine has, too
     path = cg.solve(round_a_disc(), METHOD, 4, tol=1e-3, starts=10**6, limits=cg.Limits(seconds=60))
     assert path.cost == pytest.approx(BELOW, rel=1e-3)
     assert int(re.search(r"best of (\d+) starts?", path.solver)[1]) < 10**6
