@@ -7,13 +7,14 @@ import numpy as np
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, check_finite_values, guess_values, meeting_ends, sampled
 
-SAME_FRACTION = 1e-12  # distance over the duration at which joints are equal, up to the rounding of stretched ones
+SAME_FRACTION = np.sqrt(EPS)  # distance over the duration at which joints are equal
 
 
 def first_values(

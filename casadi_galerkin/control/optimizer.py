@@ -20,21 +20,17 @@ from casadi_galerkin.solvers.deadline import limited
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; with an unbounded cost the iteration does not end
 TOLERANCE = 1e-12  # for IPOPT's scaled optimality error; with 1e-10 errors of the cost of 3e-9 were seen
-ACCEPTABLE = 1e-9  # accepted after ACCEPTABLE_ITERATIONS where roundoff keeps IPOPT from TOLERANCE
+# Accepted after `ACCEPTABLE_ITERATIONS` where roundoff keeps IPOPT from TOLERANCE, and by fatrop, in one problem of ten;
+# its costs differ from IPOPT's by 1e-9 to 2e-8 of themselves.  Momenta that change by less are those of no force.
+ACCEPTABLE = 1e-9
 ACCEPTABLE_ITERATIONS = 4
-# relative change of momenta below which a force cannot be told from zero; the solvers leave some 1e-12
-NEGLIGIBLE_MOMENTUM = 1e-10
 # IPOPT's barrier grows with the number of bounds.  With its default of 0.1 on a fine mesh, which has many bounds, the
 # first iterates move far from the guess: the cart-pole of degree 8 on 60 intervals took 207 iterations to another
 # minimum, and 19 with this.
 FIRST_BARRIER = 1e-2
 # In a warm start, from a near optimum with its multipliers, the barrier starts at its final size, and values stay at
 # their bounds: five problems with starts moved by 1 to 20 % took 2 to 8 iterations, and 5 to 14 from the path alone.
-WARM_BARRIER = 1e-10
 PUSHES = [f"warm_start_{which}" for which in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")]
-# For fatrop's error, which roundoff keeps above 1e-10 in one problem of ten.  Costs then differ from IPOPT's by 1e-9 to
-# 2e-8 of themselves, growing with the number of active bounds.
-FATROP_TOLERANCE = 1e-9
 # Fatrop treats rows with smaller pivots, in units of the unknowns, as dependent, and adds a constant to the diagonal
 # until they are not.  Where the constant is too small it never ends: with its default 1e-5 for lengths of 1e-6, with
 # 1e-7 for constraints at many nodes.  This value solves both; but lengths of 1e-7, one of 40 guesses of an acrobot and
@@ -44,11 +40,7 @@ PIVOT = 1e-6
 FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns only numbers
 # part of max(1, |b|) by which a solver relaxes bounds b; fatrop has no option for it
 BOUND_RELAXATION = {"ipopt": 0.0, "fatrop": 1e-8}
-WARM = {
-    **dict.fromkeys(["mu_init", *PUSHES], WARM_BARRIER),
-    "warm_start_init_point": "yes",
-    "acceptable_iter": 2,  # of Newton steps that converge quadratically
-}
+WARM = {**dict.fromkeys(["mu_init", *PUSHES], TOLERANCE), "warm_start_init_point": "yes"}
 
 
 @dataclass(frozen=True)
@@ -99,7 +91,7 @@ def with_fatrop(graph: ControlGraph, verbose: int, given: Mapping[str, Any]) -> 
     """Build fatrop for a program, stage by stage; arguments as for `with_ipopt`.  It does not start warm."""
     states, others, equations = (list(column) for column in zip(*graph.chain.stages, strict=True))
     structure = {"N": graph.chain.intervals, "nx": states, "nu": others, "ng": equations}
-    options = {"tol": FATROP_TOLERANCE, "linsol_lu_fact_tol": PIVOT, **given}
+    options = {"tol": ACCEPTABLE, "linsol_lu_fact_tol": PIVOT, **given}
     # it takes no options for derivatives, but finds them in its cache
     unknowns, data = graph.unknowns, graph.data
     gradient = ca.Function("nlp_grad_f", [unknowns, data], [graph.gradient(unknowns, data)[1]])

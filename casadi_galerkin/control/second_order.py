@@ -38,7 +38,7 @@ from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 STEPS = 3.0  # errors over Newton steps: where the cost is like a fourth power, a step leaves two thirds of the distance
 FLAT = 1e-6  # relative change of the cost that counts as none, as along a singular arc
-PENALTIES = 1e-7, 1e-9  # values of δ; where their counts differ, the counts depend on δ or on rounding
+PENALTY = np.sqrt(EPS)  # δ
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ class SecondOrder:
         of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))
         return RemainingError(errors[: chain.dimension], of_durations, change if np.isfinite(change) else np.inf)
 
-    def negative(self) -> int | None:
-        """Number of independent directions in which the cost decreases to second order; None where rounding hides it.
+    def negative(self) -> int:
+        """Number of independent directions in which the cost decreases to second order.
 
         A relative decrease of at most `FLAT`, for changes as large as the path, is not counted.
         """
@@ -115,9 +115,8 @@ class SecondOrder:
         gradients = ca.mtimes(ca.mtimes(gradients, units)[held, free], change)
         lengths = ca.sqrt(ca.sum2(gradients**2))
         gradients = ca.mtimes(ca.diag(1 / ca.if_else(lengths > 0, lengths, 1.0)), gradients)
-        matrices = [hessian + ca.mtimes(gradients.T, gradients) / softened for softened in PENALTIES]
-        counts = {negative_pivots(matrix, factors_of(matrix.sparsity())) for matrix in matrices}
-        return counts.pop() if len(counts) == 1 else None
+        matrix = hessian + ca.mtimes(gradients.T, gradients) / PENALTY
+        return negative_pivots(matrix, factors_of(matrix.sparsity()))
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "graph": None}

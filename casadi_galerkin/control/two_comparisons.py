@@ -1,11 +1,11 @@
 """The errors of an optimal path, and a better mesh, from two other paths of two degrees more.
 
 One is on the same mesh.  The other is on an interlaced one: every joint gives way to two, at parts of the shorter
-interval beside it that differ, so that no point of the new intervals is where the joint was (`BEFORE`, `AFTER`).  Wherever a control switches or meets a bound, a constraint is touched or a callable
-jumps, the three paths see it at different places between different points, and differ by about the error of the first.
-Joints that have to stay, at the ends and at breakpoints, get another one close by, at `CLOSE` of the interval: what
-happens beside them is seen by no other point.  The errors are `SAFETY` times the larger differences of x, of the
-durations and of the cost.
+interval beside it that differ, so that no point of the new intervals is where the joint was (`BEFORE`, `AFTER`).
+Wherever a control switches or meets a bound, a constraint is touched or a callable jumps, the three paths see it at
+different places between different points, and differ by about the error of the first.  Joints that have to stay, at the
+ends and at breakpoints, get another one close by, at `CLOSE` of the interval: what happens beside them is seen by no
+other point.  The errors are `SAFETY` times the larger differences of x, of the durations and of the cost.
 
 The better mesh makes the part of both paths that degree m leaves out equally large on all intervals.  It is estimated
 from the decay of their Legendre coefficients, and scaled to the error.  Where the coefficients do not fall, something
@@ -25,7 +25,7 @@ from casadi_galerkin.calculus.mesh_adaptation import FEWEST, legendre_coefficien
 from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_at
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.calculus.roundoff import EPS, TINY
-from casadi_galerkin.control.optimizer import ACCEPTABLE, NEGLIGIBLE_MOMENTUM
+from casadi_galerkin.control.optimizer import ACCEPTABLE
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -118,7 +118,7 @@ class TwoComparisons:
         """A change of the cost relative to its size; zero where the costs cannot be told from zero."""
         paths = self.path, self.same, self.better
         of_forces = max(p.between_points.cost_of_forces for p in paths)
-        if max(abs(p.cost) for p in paths) <= NEGLIGIBLE_MOMENTUM * of_forces:
+        if max(abs(p.cost) for p in paths) <= ACCEPTABLE * of_forces:
             return 0.0
         return float(change / max(p.cost_size for p in paths))
 
