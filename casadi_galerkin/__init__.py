@@ -4,6 +4,8 @@ from casadi_galerkin._solve import solution_function as solution_function
 from casadi_galerkin._solve import solve as solve
 from casadi_galerkin._solve import transcribe as transcribe
 from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription as AdaptiveTranscription
+from casadi_galerkin.boundary.all_paths import Paths as Paths
+from casadi_galerkin.boundary.all_paths import paths as paths
 from casadi_galerkin.boundary.branch import Branch as Branch
 from casadi_galerkin.boundary.branch import BranchPoint as BranchPoint
 from casadi_galerkin.boundary.branch import Diagram as Diagram
@@ -11,8 +13,6 @@ from casadi_galerkin.boundary.branch import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation
 from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity
 from casadi_galerkin.boundary.sensitivity import sensitivity as sensitivity
-from casadi_galerkin.boundary.several_paths import Paths as Paths
-from casadi_galerkin.boundary.several_paths import paths as paths
 from casadi_galerkin.boundary.transcription import Transcription as Transcription
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus as DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin as Galerkin

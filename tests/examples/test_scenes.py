@@ -24,7 +24,7 @@ from paths import EXAMPLES
 from scenes import TROESCH
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize
-from scipy.special import chdtri, ellipk
+from scipy.special import chdtri, ellipe, ellipk
 from slow import slow
 
 import casadi_galerkin as cg
@@ -291,6 +291,22 @@ def all_of_carriers_paths(module, answer):
     for diagram in diagrams[1:]:
         assert all(not branch.missed for branch in diagram)
         assert len(diagram.branch_points) == 1
+
+
+def joachimsthals_constants(module, found):
+    """The least length is a quarter of the ellipse z = 0, by the elliptic integral; all others are longer."""
+    lengths = [module.length(path) for path in found]
+    assert len(found) == 6
+    assert max(lengths) < 12
+    assert lengths[0] == pytest.approx(ellipe(1 - 0.8**2), rel=1e-9)
+    assert found[0].morse_index == 0
+    axes = module.AXES[:, None]
+    for i, path in enumerate(found):
+        x, v = path(np.linspace(0.0, 1.0, 60)), path(np.linspace(0.0, 1.0, 60), 1)
+        kept = np.sum((x / axes**2) ** 2, axis=0) * np.sum((v / axes) ** 2, axis=0)
+        np.testing.assert_allclose(kept, kept[0], rtol=1e-3)
+        assert np.max(np.abs(np.linalg.norm(v, axis=0) / lengths[i] - 1)) < 1e-3
+        assert all(np.max(np.abs(path.x - other.x)) > 1e-2 for other in found[:i])
 
 
 # scenes of steps
@@ -806,6 +822,7 @@ TABLE = [
     ("near_collision", round_the_sun, "the comet goes round the Sun"),
     ("bratu", bratus_fold, "Bratu's fold is where it is"),
     ("elastica", eulers_loads, "a rod buckles at Euler's loads, in shapes whose loads are elliptic integrals"),
+    ("ellipsoid", joachimsthals_constants, "geodesics of the ellipsoid keep Joachimsthal's product"),
     ("carrier", all_of_carriers_paths, "all paths of Carrier's problem are found, and followed to where they vanish"),
     ("kepler_revolutions", back_at_the_perihelion, "Mercury is back at its perihelion after all revolutions"),
     ("double_pendulum", parted_by_chaos, "chaos parts the double pendulum from its global path"),
