@@ -158,6 +158,7 @@ def test_a_path_that_runs_away_along_a_singular_direction_is_refused_without_war
     assert not recwarn.list
 
 
+@pytest.mark.slow
 def test_warnings_of_casadi_do_not_reach_the_terminal(capfd):
     """A zero pivot shows in the numbers; CasADi's LDL factorization also writes a line for each."""
     with pytest.raises(cg.ConvergenceError, match="no path was found"):

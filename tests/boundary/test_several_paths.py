@@ -163,6 +163,7 @@ def test_free_and_periodic_ends():
         )
 
 
+@pytest.mark.slow
 def test_zigzags_of_a_coarse_mesh_are_dropped(swings):
     coarse = cg.paths(LONG, cg.Galerkin(1), 12)
     assert coarse.unresolved > 0
@@ -212,6 +213,7 @@ def test_conjugate_ends_are_an_error():
         cg.paths(problem, cg.Galerkin(6), 10)
 
 
+@pytest.mark.slow
 def test_without_a_path_the_search_says_how_often_it_tried():
     problem = cg.BoundaryProblem(bratu(4.0), (0, 1), [0.0], [0.0])
     with pytest.raises(

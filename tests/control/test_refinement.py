@@ -113,7 +113,8 @@ def test_true_error_is_below_the_tolerance(name, tol):
     assert true_error(path, *SCENES[name][1]()) <= tol
 
 
-@pytest.mark.parametrize("tol", [1e-4, *slow(1e-8)])
+@pytest.mark.slow
+@pytest.mark.parametrize("tol", [1e-4, 1e-8])
 def test_three_switches_are_found_to_any_tolerance(tol):
     path, duration = cg.solve(two_masses_on_a_spring(), tol=tol), fastest_on_a_spring()
     assert path.error_estimate <= tol
@@ -236,7 +237,7 @@ def test_a_mesh_for_the_cost_alone_does_not_resolve_a_singular_arc():
     assert path.error_estimate > 1e-2
 
 
-@pytest.mark.parametrize("asked", ["tol", "cost_tol"])
+@pytest.mark.parametrize("asked", ["tol", *slow("cost_tol")])
 def test_a_control_that_jumps_where_the_speed_limit_is_met_is_seen(asked):
     """Where the speed limit is met the control jumps; here degrees 6 and 8 agree to 1e-12 on a time 3e-6 too short."""
     problem = double_integrator(
@@ -392,7 +393,8 @@ def test_levels_that_go_round_in_circles_are_ended(monkeypatch):
     assert next(errors, None) is None
 
 
-@pytest.mark.parametrize("waves", [10, *slow(20)])
+@pytest.mark.slow
+@pytest.mark.parametrize("waves", [10, 20])
 def test_many_switches_are_found_to_a_loose_tolerance(waves):
     """Two meshes led to one another for ever; to a tighter tolerance both were solved."""
     push = double_integrator(
@@ -452,6 +454,7 @@ def test_a_callable_that_overflows_on_a_later_mesh_is_a_limit(monkeypatch):
     assert caught.value.path.cost > 0
 
 
+@pytest.mark.slow
 def test_best_path_is_not_always_the_last(monkeypatch):
     estimate, errors = ControlRefinement.estimate, iter([2e-2, 1e-2, 3e-2])
     monkeypatch.setattr(ControlRefinement, "estimate", lambda *args: replace(estimate(*args), error=next(errors)))
@@ -520,7 +523,7 @@ def test_bad_arguments_are_named():
         cg.solve(double_integrator(), intervals=4)
 
 
-@pytest.mark.parametrize("breakpoints", [(), (3.0,), (1.5, 4.5)])
+@pytest.mark.parametrize("breakpoints", [(1.5, 4.5), *slow([], [3.0])])
 def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
     """Its breakpoints were taken for those of the mesh: refused where their number differs, else the mesh is skewed."""
     guess = cg.solve(double_integrator(t_span=(0.0, 6.0), breakpoints=breakpoints), cg.Galerkin(3), 6)
@@ -530,6 +533,7 @@ def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
     np.testing.assert_array_equal(path.t, cg.solve(problem, tol=1e-5).t)
 
 
+@pytest.mark.slow
 def test_refinement_begins_on_the_mesh_of_a_refined_answer(capsys):
     """Its degree and its duration may be others; the mesh of a fixed discretization says nothing of the path."""
     problem, first = double_integrator(breakpoints=[0.1]), double_integrator(t_span=(0.0, 6.0), breakpoints=[1.5])
@@ -543,6 +547,7 @@ def test_refinement_begins_on_the_mesh_of_a_refined_answer(capsys):
         assert capsys.readouterr().out.splitlines()[1].split()[:3] == ["0", "6", intervals]
 
 
+@pytest.mark.slow
 def test_where_a_coarse_path_leads_nowhere_the_first_guess_is_tried(monkeypatch):
     """As for a path above the peaks of the alp rider, which meshes of 8 intervals miss."""
     solve, refused = ControlRefinement.solve, []

@@ -172,7 +172,7 @@ def coupled_masses(lengths, time, price, force):
     )
 
 
-@pytest.mark.parametrize("tolerance", ["tol", "cost_tol"])
+@pytest.mark.parametrize("tolerance", ["tol", *slow("cost_tol")])
 def test_no_cost_is_called_known_that_units_keep_from_the_solver(tolerance):
     """It was 6 % too high in these, and called known to 1e-9: both degrees ended where slopes were small in numbers."""
     units = {"lengths": [1.4e-5, 1.3e-4, 4.1e-4], "time": 3.4e-2, "price": 1.3e-7, "force": 2e4}

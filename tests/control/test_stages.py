@@ -80,7 +80,7 @@ def resolved(make):
     return cg.solve(make(), cg.Galerkin(12), 12)
 
 
-@pytest.mark.parametrize("make", [nonlinear, driven])
+@pytest.mark.parametrize("make", [driven, *slow(nonlinear)])
 @pytest.mark.parametrize(("degree", "meshes"), [(3, (6, 9, 12)), *slow((1, (20, 40, 80)))])
 def test_cost_and_joints_of_components_with_rates_have_twice_the_degree(make, degree, meshes):
     exact, errors = resolved(make), []
@@ -249,7 +249,7 @@ def test_a_held_control_is_no_matter_of_tolerance():
 # fatrop
 
 
-@pytest.mark.parametrize("make", [cart_pole, minimum_time, lambda: pendulum(3.0)])
+@pytest.mark.parametrize("make", [minimum_time, *slow(cart_pole, lambda: pendulum(3.0))])
 @RULES
 def test_fatrop_finds_what_ipopt_finds(make, rule):
     method = cg.Galerkin(4, quadrature=rule(4))
