@@ -146,7 +146,8 @@ class ControlProblem(Problem):
     position_bounds : (lo, hi), each a scalar or one number per component; held at the joints and the
         control points between them.  An end beyond them by rounding is put on them
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points;
-        what it asks of x and v alone also holds at the end of the path, unless `end_conditions` speak of that
+        what it asks of x and v alone also holds at the end of the path, unless `end_conditions` speak of that.  Where
+        positions keep to a curve, state that as a `constraint`: the velocity at a free end keeps to it then, too
     duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
     constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; for
         problems without rates, jumps and waypoints that are functions
