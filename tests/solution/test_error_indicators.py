@@ -163,7 +163,7 @@ def test_no_pole_hides_between_points(degree, power):
         assert error_indicators(problem, path, np.ones((1, 2)))[1] > LAGRANGIAN_MISFIT
 
 
-@pytest.mark.parametrize("beside", [1e-12, 2e-12])
+@pytest.mark.parametrize("beside", [1e-12, *slow(2e-12)])
 def test_rounding_hides_no_miss_beside_a_softened_pole(beside):
     """With an estimate of 8e-11, a path was off by 7e-4: positions of 1e-6 were taken to be rounded like those of 1."""
     problem = cg.BoundaryProblem(
@@ -176,7 +176,7 @@ def test_rounding_hides_no_miss_beside_a_softened_pole(beside):
     assert path.velocity[0, 0] == pytest.approx(0.3432063025, abs=1e-8)  # by quadrature of the energy
 
 
-@pytest.mark.parametrize(("duration", "tol"), [(0.5, 1e-9), (1.0, 1e-4), (2.0, 1e-9)])
+@pytest.mark.parametrize(("duration", "tol"), [(1.0, 1e-4), *slow((0.5, 1e-9), (2.0, 1e-9))])
 def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
     """Nothing passes the pole of the attraction 1/x²; paths over it were returned, with estimates below these."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + 1 / ca.fabs(x[0]), (0, duration), [1.0], [-1.0])
@@ -240,6 +240,7 @@ def test_the_balance_holds_with_friction_and_under_a_constraint_that_moves():
     np.testing.assert_allclose(np.arctan2(path.x[0], -path.x[1]), exact(path.t)[0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [1e-6, 1e-7])
 def test_the_balance_allows_for_the_rounding_of_a_force_whose_terms_cancel(stiffness):
     """Terms of size 10 leave an acceleration times a mass of 1e-6: Cash's third test problem."""
@@ -300,7 +301,7 @@ EDGES = {  # Lagrangians that step in x, whose derivative is zero everywhere
 }
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+@pytest.mark.parametrize("tol", [1e-3, *slow(1e-6)])
 @pytest.mark.parametrize("name", EDGES)
 def test_a_path_over_an_edge_is_refused(name, tol):
     """The impulse at the edge is in no equation: the energies on both sides, or the momenta along it, did not agree."""
@@ -395,7 +396,7 @@ def test_a_pendulum_on_a_rod_that_hangs_still_is_a_path():
     np.testing.assert_allclose(cg.solve(problem, tol=1e-9)([0.0, 0.3, 2.0]), [[0.0] * 3, [-1.0] * 3], atol=1e-15)
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-8])
+@pytest.mark.parametrize("tol", [1e-3, *slow(1e-8)])
 @pytest.mark.parametrize("when", [1.528372, *slow(*np.random.default_rng(1).uniform(0.3, 2.7, 8).round(6)[1:])])
 def test_a_jump_of_a_force_in_time_is_resolved(when, tol):
     """Both degrees have points on the same sides of it: with an estimate of 1.9e-14, a path was off by 2.4e-2."""
