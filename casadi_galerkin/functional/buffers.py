@@ -118,19 +118,20 @@ class Evaluator:
 
     def run(self) -> None:
         """Evaluate on all arrays, without a check whether the evaluation was aborted."""
-        self.failure, stderr = None, sys.stderr
-        try:
-            sys.stderr = WithoutCasadi(stderr)
-            with fork_waits:
+        self.failure = None
+        with fork_waits:  # one thread at a time, so that each restores the stream that it found
+            stderr = sys.stderr
+            try:
+                sys.stderr = WithoutCasadi(stderr)
                 self._run()
-        except RuntimeError as error:
-            if "KeyboardInterrupt" in str(error):
-                raise
-            self.failure = error
-            for array in self._results:
-                array[:] = np.nan
-        finally:
-            sys.stderr = stderr
+            except RuntimeError as error:
+                if "KeyboardInterrupt" in str(error):
+                    raise
+                self.failure = error
+                for array in self._results:
+                    array[:] = np.nan
+            finally:
+                sys.stderr = stderr
 
     def __call__(self, *arguments: ArrayLike) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""
