@@ -113,7 +113,7 @@ def random_problem(seed):
     return problem, tol, lambda times: np.array(exact.map(len(times))(times[None])[0]).reshape(d, -1)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, *slow(*range(3, 20))])
+@pytest.mark.parametrize("seed", [0, 1, 2, *slow(*range(3, 8))])
 def test_no_success_on_a_random_problem_misses_its_tolerance(seed):
     problem, tol, exact = random_problem(seed)
     path = cg.solve(problem, tol=tol)
@@ -333,7 +333,7 @@ def test_a_tolerance_below_the_roundoff_floor_is_refused_before_a_mesh_is_refine
     assert len(caught.value.path.t) < 400  # it went up to 25,588
 
 
-@pytest.mark.parametrize("gap", [1e-2, 1e-8, *slow(*(10.0**-k for k in (3, 4, 5, 6, 7, 9, 10, 11)))])
+@pytest.mark.parametrize("gap", [1e-2, 1e-8, *slow(1e-4, 1e-6, 1e-11)])
 @pytest.mark.parametrize("tol", [1e-6, *slow(1e-3, 1e-9)])
 def test_no_lucky_estimate_is_accepted_near_a_conjugate_point(gap, tol):
     """At a gap of 1e-10 a tolerance of 1e-6 was missed by a factor of 5.7, by one noisy estimate of many."""
@@ -365,8 +365,8 @@ def test_a_path_from_a_center_where_the_mass_vanishes_is_that_of_its_bessel_func
     np.testing.assert_allclose(path(times)[0], exact(times), rtol=0, atol=tol * np.max(np.abs(path.x)))
 
 
-@pytest.mark.parametrize("tol", [1e-2, *slow(1e-1, 1e-3, 1e-4)])
-@pytest.mark.parametrize("stiffness", [6e-3, *slow(1e-2, 2e-3)])
+@pytest.mark.parametrize("tol", [1e-2, *slow(1e-1, 1e-4)])
+@pytest.mark.parametrize("stiffness", [6e-3, *slow(2e-3)])
 def test_a_mesh_too_coarse_to_see_that_a_path_is_undetermined_is_not_believed(stiffness, tol):
     """ε x'' = t x': exp(-1/2ε) ties the middle to the ends.  It was anything from 0 to 1, with estimates of 1e-5."""
     turning = cg.BoundaryProblem(
@@ -387,8 +387,8 @@ def test_a_path_that_is_barely_tied_is_found_where_doubles_tell_it(tol):
     assert relative_error(path, lambda t: (0.5 + erfi(t / 0.06**0.5) / erfi(1 / 0.06**0.5) / 2)[None]) <= tol
 
 
-@pytest.mark.parametrize("tol", [1e-2, *slow(1e-1, 1e-3)])
-@pytest.mark.parametrize(("width", "place"), [(0.05, 0.1), *slow((0.05, 0.4), (0.03, 0.2), (0.01, 0.1), (0.01, 0.4))])
+@pytest.mark.parametrize("tol", [1e-2, *slow(1e-3)])
+@pytest.mark.parametrize(("width", "place"), [(0.05, 0.1), *slow((0.03, 0.2), (0.01, 0.4))])
 def test_a_kink_that_no_tail_holds_is_not_pinned_by_the_mesh(width, place, tol):
     """Every place of it solves the equations in doubles; a mesh chooses one, and no Newton step there says so."""
     line = kink(1 / width)

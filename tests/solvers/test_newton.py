@@ -332,8 +332,8 @@ def test_a_component_is_exactly_zero_where_its_guess_is_not(name, beside, how):
     np.testing.assert_allclose(path(np.linspace(0, 1, 9)), straight(np.linspace(0, 1, 9)), rtol=1e-9, atol=0)
 
 
-@pytest.mark.parametrize("tol", [1e-6, *slow(1e-4, 1e-8, 1e-10)])
-@pytest.mark.parametrize("beside", [1e-6, *slow(1e-13, 1e-11, 1e-9)])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-4, 1e-10)])
+@pytest.mark.parametrize("beside", [1e-6, *slow(1e-13, 1e-9)])
 def test_a_small_component_is_as_accurate_as_its_estimate_where_terms_of_others_cancel(beside, tol):
     """The derivatives of L by it are differences of sines: their rounding hides some of its digits."""
     ends = [1.0, beside], [0.5, 1.3 * beside]
