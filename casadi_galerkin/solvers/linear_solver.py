@@ -118,7 +118,7 @@ class LinearSolver:
             whole = ca.vertcat(step, ca.MX.zeros(self.numbering.size - self.numbering.free))
             moved, stiffness = self.largest(whole), self._stiffness(matrix)
             reached = ca.fmax(scale, moved)
-            sizes = self._measure(ca.fmax(reached, HALF_DIGITS * self._mattering(matrix, reached)))
+            sizes = self._measure(ca.fmax(reached, HALF_DIGITS * _mattering(stiffness, reached)))
             length, step_length = (ca.norm_inf(stiffness * a) for a in (scale, moved))
             if self.numbering.stretched:
                 step_length = ca.fmax(step_length, length * ca.fabs(step[-1]))
@@ -166,15 +166,6 @@ class LinearSolver:
         entries = [matrix.nz[numbers.tolist()] for numbers in self.diagonal]
         return ca.vertcat(*(ca.sqrt(ca.norm_inf(entry)) if entry.numel() else 0 for entry in entries))
 
-    def _mattering(self, matrix: ca.MX, scale: ca.MX) -> ca.MX:
-        """Size at which each component would matter as much as the one that matters most, from their sizes; (d,).
-
-        With stiffnesses K on the diagonal it is max_d √K_d |x_d| / √K_c: by Cauchy and Schwarz, the terms of all
-        components in an equation of component c are at most K_c times that, and so is their rounding over eps.
-        """
-        stiffness = self._stiffness(matrix)
-        return ca.if_else(stiffness > 0, ca.norm_inf(stiffness * scale) / stiffness, scale)
-
     def _expanded(self, scale: ca.MX, further: ca.MX) -> ca.MX:
         """One value per unknown, from one per component of the path and those of the further unknowns."""
         along = scale.get_nz(False, self.numbering.component[: self.numbering.positions].tolist())
@@ -197,17 +188,19 @@ class LinearSolver:
 
     @cached_property
     def floor(self) -> ca.Function:
-        """(matrix, u, terms) -> (floor, scale, product): the roundoff floor of every entry of ∇S.
+        """(matrix, u, terms) -> (floor, scale, product, importance): the roundoff floor of every entry of ∇S.
 
         It is eps times the sizes of the terms that ∇S sums, and times |∇²S||ξ|, because the rounding of ξ itself
         counts.  |ξ| stands for the size at which each unknown's component would matter.  A path that counts as zero is
         measured by `ZERO`: relative to its own size, its residual would never come down to roundoff.  A multiplier is
-        at least as large as the terms it balances.
+        at least as large as the terms it balances.  The importance of a component is its size over that at which it
+        would matter; (d,).
         """
         inputs = self.symbols("matrix", "u", "terms")
         matrix, u, terms = inputs.values()
         positions, last = self.numbering.positions, self.numbering.positions + self.numbering.multipliers
-        mattering = self._mattering(matrix, self.largest(u))
+        own = self.largest(u)
+        mattering = _mattering(self._stiffness(matrix), own)
         scale = ca.fmax(self._expanded(mattering, ca.fabs(u[positions : self.numbering.free])), ZERO)
         sizes = ca.fabs(matrix)
         if self.numbering.multipliers:
@@ -217,6 +210,7 @@ class LinearSolver:
             scale[positions:last] = ca.fmax(scale[positions:last], largest)
         product = ca.mtimes(sizes, scale)
         outputs = {"floor": EPS * (terms + product) + TINY, "scale": scale, "product": product}
+        outputs["importance"] = own / ca.fmax(mattering, ZERO)
         return self._function("floor", inputs, outputs)
 
     @cached_property
@@ -225,12 +219,11 @@ class LinearSolver:
 
         The largest entry of ∇S over its roundoff floor, and yᵀ∇²S y for y = `softest_direction` over a bound of
         |y|ᵀ|∇²S||y|.  A regularity of zero or NaN tells nothing: where a component has a single unknown, its one term
-        in the Hessian has nothing to be compared with.  The importance of a component is its size over that at which it
-        would matter; (d,).
+        in the Hessian has nothing to be compared with.
         """
         inputs = self.symbols("gradient", "matrix", "u", "terms", "softest_direction")
         gradient, matrix, u, terms, y = inputs.values()
-        floor, scale, product = self.floor(matrix, u, terms)
+        floor, scale, product, importance = self.floor(matrix, u, terms)
         ratios = gradient / floor
         residual = ca.if_else(all_finite(ratios), ca.norm_inf(ratios), np.nan)
         path = scale[: self.numbering.positions, :]
@@ -240,9 +233,7 @@ class LinearSolver:
             product = ca.mtimes(ca.fabs(matrix), scale)
         quotient = ca.fabs(ca.bilin(matrix, y, y)) / ca.dot(scale, product)
         comparable = ca.mmin(path) > ZERO if self.numbering.positions > self.numbering.dimension else ca.MX(0)
-        largest = self.largest(u)
-        outputs = {"residual": residual, "regularity": ca.if_else(comparable, quotient, 0)}
-        outputs["importance"] = largest / ca.fmax(self._mattering(matrix, largest), ZERO)
+        outputs = {"residual": residual, "regularity": ca.if_else(comparable, quotient, 0), "importance": importance}
         return self._function("verification", inputs, outputs)
 
     @cached_property
@@ -252,6 +243,16 @@ class LinearSolver:
         softened = self._regularized(inputs["matrix"])
         whole = softened.sparsity() + ca.Sparsity.diag(self.numbering.free)
         return self._function("softened", inputs, {"softened": ca.project(softened, whole)})
+
+
+def _mattering(stiffness: ca.MX, scale: ca.MX) -> ca.MX:
+    """Size at which each component would matter as much as the one that matters most, from their sizes; (d,).
+
+    With stiffnesses K on the diagonal, of which the square roots are given, it is max_d √K_d |x_d| / √K_c: by Cauchy
+    and Schwarz, the terms of all components in an equation of component c are at most K_c times that, and so is their
+    rounding over eps.
+    """
+    return ca.if_else(stiffness > 0, ca.norm_inf(stiffness * scale) / stiffness, scale)
 
 
 def all_finite(*values: ca.MX) -> ca.MX:
