@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator, varying_mass
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.solution.time_jumps import may_step, unseen_steps
@@ -30,7 +31,7 @@ JUMPING = {
 }
 
 
-@pytest.mark.parametrize(("name", "tol"), [("cost", 1e-3), *((name, 1e-5) for name in JUMPING)])
+@pytest.mark.parametrize(("name", "tol"), [("cost", 1e-3), *slow(*((name, 1e-5) for name in JUMPING))])
 def test_a_jump_that_is_not_named_is_met_to_the_tolerance(name, tol):
     """Both degrees agreed to 1e-14 on costs that were wrong by 1e-3."""
     path, named = (cg.solve(double_integrator(**JUMPING[name], breakpoints=b), tol=tol) for b in ((), (WHEN,)))
