@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator, first_order
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -25,7 +26,9 @@ def rewarded(**changes):
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop])
-@pytest.mark.parametrize("options", [{"tol": 1e-6}, {"cost_tol": 1e-6}, {"method": cg.Galerkin(3), "intervals": 5}])
+@pytest.mark.parametrize(
+    "options", [{"method": cg.Galerkin(3), "intervals": 5}, *slow({"tol": 1e-6}, {"cost_tol": 1e-6})]
+)
 def test_a_speed_that_is_rewarded_keeps_to_its_limit(options, solver):
     path = cg.solve(rewarded(), **options, solver=solver)
     assert path.cost == pytest.approx(-1.62, rel=1e-7)
@@ -145,7 +148,7 @@ def test_where_end_conditions_speak_of_the_end_nothing_is_added():
     assert cg.solve(slow, cg.Galerkin(4), 8).cost == pytest.approx(6, rel=1e-8)
 
 
-@pytest.mark.parametrize("options", [{"tol": 1e-6}, {"method": cg.Galerkin(3), "intervals": 5}])
+@pytest.mark.parametrize("options", [{"method": cg.Galerkin(3), "intervals": 5}, *slow({"tol": 1e-6})])
 def test_what_end_conditions_do_not_speak_of_keeps_to_its_limit(options):
     """They give the place, in a strip; the speed is rewarded there, and limited."""
     strip = (lambda x0, v0, x1, v1: x1, 0.2, 0.9)

@@ -6,6 +6,7 @@ import pytest
 from constrained import MECHANISMS
 from control_problems import double_integrator
 from motions import MOTIONS, kepler, oscillator, start_of
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -75,8 +76,8 @@ def test_steps_on_a_constraint_are_symplectic_between_its_tangents(name):
     assert np.max(measured.symplecticity_defects) <= 1e-12
 
 
-@pytest.mark.parametrize("length", [1e-9, 1e9])
-@pytest.mark.parametrize("mass", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("length", [1e-9, *slow(1e9)])
+@pytest.mark.parametrize("mass", [1e9, *slow(1e-9, 1.0)])
 def test_steps_are_symplectic_in_any_units(length, mass):
     orbit = cg.InitialProblem(
         lambda t, x, v: mass * kepler(t, x / length, v / length), (0, 5), [length, 0], velocity=[0, 1.1 * length]
