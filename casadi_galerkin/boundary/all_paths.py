@@ -17,12 +17,13 @@ from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.several_paths import FINER, PATIENCE, SAME, SEED, Search, Symmetry, image
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
-from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.numbers import checked_index, counted, number, whole_number
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.orbit_phase import refuse_free_phase
@@ -172,6 +173,8 @@ def paths(
     >>> [(round(path.action, 6), path.morse_index) for path in cg.paths(bratu, tol=1e-9, count=2)]
     [(-1.046517, 0), (16.440013, 1)]
     """
+    check_kind(problem, BoundaryProblem)
+    check_method(method, optional=True)
     refine = None
     if tol is None:
         if method is None:

@@ -24,7 +24,9 @@ from casadi_galerkin.calculus.numbers import numbers, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.problems.legendre_transform import singular_mass
+from casadi_galerkin.problems.problem import check_types, with_values
+from casadi_galerkin.problems.statements import check
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.orbit_phase import refuse_free_phase
@@ -200,8 +202,9 @@ class BranchFollower(Curve[PathPoint]):
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
         self.transcription = transcription
         self.begun, self.aim = np.array(transcription.problem.parameters), target
-        ends = (transcription.problem, transcription.problem.varied({"parameters": target.tolist()}))
-        data, aim = (transcription.for_problem(problem).data(transcription.mesh) for problem in ends)
+        first, last = transcription.problem, with_values(transcription.problem, parameters=tuple(target.tolist()))
+        check(last, [singular_mass])  # other rules may hold no longer where the branch turns back before
+        data, aim = (transcription.for_problem(problem).data(transcription.mesh) for problem in (first, last))
         super().__init__(transcription.stationarity, data, aim)
         self.weights = np.ones(transcription.numbering.free + 1)
         self.nodes: list[Node] = []
@@ -213,7 +216,7 @@ class BranchFollower(Curve[PathPoint]):
 
     def problem(self, z: np.ndarray) -> BoundaryProblem:
         """The problem at a point z."""
-        return self.transcription.problem.varied({"parameters": self.parameters(z).tolist()})
+        return with_values(self.transcription.problem, parameters=tuple(self.parameters(z).tolist()))
 
     def solution(self, z: np.ndarray) -> Solution | None:
         """The path of a point z of the curve, verified; None where that moves it."""
