@@ -42,7 +42,6 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
-ACCEPTABLE_SHARE = 1e-2  # IPOPT's acceptable tolerance over one of the cost
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
 
@@ -105,7 +104,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one method on one mesh within the phases of the problem."""
         transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
-        solver = self.warm_solver(guess) if isinstance(guess, ControlTrajectory) else self.solver
+        solver = from_near(self.solver, guess) if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)
@@ -121,11 +120,6 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
             self.build_seconds += transcription.build_seconds
         self.iterations, self.found = self.iterations + path.iterations, path
         return path
-
-    def warm_solver(self, near: ControlTrajectory) -> Solver:
-        """The solver from an earlier path, with other options where it has none of its own."""
-        # the cost changes in second order only by what a looser tolerance leaves
-        return from_near(self.solver, near, ACCEPTABLE_SHARE * self.tol if self.of_cost else 0.0)
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """The path on a mesh or, where none is found, on one twice as fine."""

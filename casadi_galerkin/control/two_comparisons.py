@@ -1,14 +1,15 @@
 """The errors of an optimal path, and a better mesh, from two other paths of two degrees more.
 
 One is on the same mesh.  The other is on an interlaced one: every joint gives way to two, at parts of the shorter
-interval beside it that differ, so that no point of the new intervals is where the joint was (`BEFORE`, `AFTER`).
+interval beside it that differ (`BEFORE`, `AFTER`), so that no point of the new intervals is where the joint was.
 Wherever a control switches or meets a bound, a constraint is touched or a callable jumps, the three paths see it at
 different places between different points, and differ by about the error of the first.  Joints that have to stay, at the
 ends and at breakpoints, get another one close by, at `CLOSE` of the interval: what happens beside them is seen by no
-other point.  The errors are `SAFETY` times the larger differences of x, of the durations and of the cost.
+other point.  The errors are `SAFETY` times the larger differences of x, of the durations and of the cost.  Where all
+three may be wrong in the same way, the errors are at least what else is known of it (`errors`).
 
-The better mesh makes the part of both paths that degree m leaves out equally large on all intervals.  It is estimated
-from the decay of their Legendre coefficients, and scaled to the error.  Where the coefficients do not fall, something
+The better mesh makes the part of the interlaced path that degree m leaves out equally large on all intervals.  It is
+known from its last Legendre coefficients, and scaled to the error.  Where the coefficients do not fall, something
 switches or bends inside, and the interval is split as for a method of order 2: so meshes are graded towards the place.
 """
 
@@ -26,7 +27,6 @@ from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.control.optimizer import ACCEPTABLE
-from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
@@ -51,22 +51,14 @@ def raised(method: Galerkin) -> Galerkin:
     return Galerkin(method.degree + HIGHER, quadrature=rule(len(method.quadrature) + HIGHER))
 
 
-def from_near(solver: Solver, path: ControlTrajectory, accepted: float = 0.0) -> Solver:
+def from_near(solver: Solver, path: ControlTrajectory) -> Solver:
     """The solver from an earlier path, with other options where it has none of its own.
 
     IPOPT's tolerances are absolute: a small cost is measured in its own size.
-
-    Parameters
-    ----------
-    solver : ipopt or fatrop
-    path : where it begins
-    accepted : slopes of the cost, relative to its size, at which IPOPT may stop if it is larger than what it aims at
     """
     options = {"mu_init": WARM_BARRIER, "barrier_tol_factor": BARRIER_RATIO}
-    if solver.name == ipopt.name:
-        if accepted > ACCEPTABLE:
-            options |= {"acceptable_tol": accepted, "acceptable_constr_viol_tol": FEASIBLE}
-        options["obj_scaling_factor"] = 1 / path.cost_size if 0 < path.cost_size < 1 else 1.0
+    if solver.name == ipopt.name and 0 < path.cost_size < 1:
+        options["obj_scaling_factor"] = 1 / path.cost_size
     return replace(solver, options={**options, **solver.options})
 
 
