@@ -43,7 +43,11 @@ from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
-PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
+PATIENCE = 4  # levels in a row without a smaller error, as meshes may alternate, after which every interval is halved
+LEFT_OPEN = (
+    "The cost hardly depends on the path: give a cost_tol in place of tol, add a small cost of the control, or leave "
+    "out a waypoint at a free time that asks for nothing"
+)
 
 
 def control_method_for(tol: float) -> Galerkin:
@@ -72,6 +76,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
     found: ControlTrajectory | None = None  # the last path
     known: TwoComparisons | None = None  # the last error estimate, or None where there was none
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
+    left_open = False  # whether what the solver leaves was the largest error of the last level
     guess: Guess | None = None  # with which the refinement began
 
     def __init__(
@@ -150,15 +155,25 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         It is within the phases of the problem.
         """
         detail = estimate.detail
-        if detail is not None and detail.unseen_step ** (2 if self.of_cost else 1) > max(self.tol, detail.change):
-            steps = detail.path.between_points.unseen_steps
-            hint = f"At t = {steps.times[np.argmax(steps.sizes)]:.6g} {STEP}"
-            raise self.stopped("no mesh takes away the error of a step", *self.best, hint)
+        if detail is not None:
+            self.check_meshes_help(detail)
         if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
             return self.scaled(halved(level.t), level)
         idle = len(self.stated.breakpoints) > len(self.breakpoints)
         joints = switch_times(detail.better) if idle else ()
         return self.scaled(detail.mesh(self.path_tol(detail), joints), detail.better)
+
+    def check_meshes_help(self, detail: TwoComparisons) -> None:
+        """Stop where no mesh reduces the error: that of a step, or that which the solver leaves on two meshes."""
+        least = max(self.tol, detail.change)
+        if detail.unseen_step ** (2 if self.of_cost else 1) > least:
+            steps = detail.path.between_points.unseen_steps
+            hint = f"At t = {steps.times[np.argmax(steps.sizes)]:.6g} {STEP}"
+            raise self.stopped("no mesh takes away the error of a step", *self.best, hint)
+        left = detail.path.solver_error
+        before, self.left_open = self.left_open, left > least and not self.of_cost
+        if before and self.left_open:
+            raise self.stopped(f"the solver leaves the path open by {left:.0e} of its size", *self.best, LEFT_OPEN)
 
     def solve_on(self, mesh: np.ndarray, level: ControlTrajectory) -> ControlTrajectory:
         """Solve from the better path or, where none is found from there, from the first guess on a finer mesh."""
@@ -238,7 +253,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
 
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
-        self.known, self.cost_known = None, math.inf
+        self.known, self.cost_known, self.left_open = None, math.inf, False
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)
