@@ -18,9 +18,7 @@ from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, p
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SMOOTH = 200  # least number of times at which a line is drawn to look smooth
-# number of times on every interval, as an oscillation needs, and the largest number in all, two per interval at least
-ON_INTERVAL, MOST = 20, 20_000
+DRAWN = 4000  # times at which a line is drawn, as the oscillations of a long path need; two per interval at least
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -141,9 +139,7 @@ class Path(Table, Pictured):
 
     def _fine(self) -> np.ndarray:
         """Times of a smooth line, with all joints."""
-        intervals = len(self.t) - 1
-        count = max(2, min(ON_INTERVAL, MOST // intervals), SMOOTH // intervals)
-        return self.polynomial.times(np.linspace(0, 1, count, endpoint=False))
+        return self.polynomial.times(np.linspace(0, 1, max(2, DRAWN // (len(self.t) - 1)), endpoint=False))
 
     def __repr__(self) -> str:
         """State the size and the time of the path."""

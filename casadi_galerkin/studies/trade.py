@@ -143,54 +143,41 @@ def _listed(name: str, given: Iterable[Any]) -> list[Any]:
         raise TypeError(f"{name} must be several, in a list, got {given!r}") from error
 
 
-def _solvers(problem: AnyProblem, solvers: Iterable[Solver]) -> Sequence[Solver | None]:
-    """The solvers, or the default one; none where a path is found step by step."""
-    given = _listed("solvers", solvers)
-    for solver in given:
-        if not isinstance(solver, Solver):
-            raise TypeError(f"solvers must be Solvers, such as [newton, ipopt], got {solver!r}")
-        if isinstance(problem, InitialProblem):
-            raise ValueError(f"an initial problem takes no solver: it is solved step by step, got {solver!r}")
-        if isinstance(problem, ControlProblem):
-            check_solver(solver)
-    if given or isinstance(problem, InitialProblem):
-        return given or [None]
-    return [ipopt if isinstance(problem, ControlProblem) else newton]
-
-
 def _ways(
     problem: AnyProblem,
     grid: Sequence[tuple[Galerkin, int]],
     tolerances: Sequence[float],
-    solvers: Sequence[Solver | None],
+    solvers: Sequence[Solver],
     shooting: bool,
+    guess: Guess | None,
 ) -> list[Row]:
     """All ways, not yet measured; refuses what does not fit."""
     if not grid and not tolerances:
         raise ValueError("give at least one method and one number of intervals, or a tolerance, got neither")
-    for method, count in grid:
-        check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
-        mesh_of(problem.t_span, count, None, problem.breakpoints)
-    if tolerances and isinstance(problem, InitialProblem):
-        raise ValueError(f"an initial problem takes no tolerances: it is solved step by step, got {tolerances}")
+    stepped = isinstance(problem, InitialProblem)
+    options = {"tolerances": tolerances, "solvers": solvers, "guess": [] if guess is None else [guess]}
+    extra = [name for name, value in options.items() if value and stepped]
+    if extra:
+        raise ValueError(f"an InitialProblem is solved step by step, and takes no {' and '.join(extra)}")
     if flag("shooting", shooting) and not isinstance(problem, BoundaryProblem):
         raise ValueError(f"only a BoundaryProblem is solved by shooting, got {type(problem).__name__}")
-    ways = [Row(method, count, solver) for method, count in grid for solver in solvers]
-    ways += [Row(method, count, shooting=True) for method, count in grid if shooting]
-    return ways + [Row(solver=solver, tol=check_tolerance(tol)) for solver in solvers for tol in tolerances]
-
-
-def _check_guess(problem: AnyProblem, guess: Guess, grid: Sequence[tuple[Galerkin, int]], shooting: bool) -> None:
-    """Refuse a guess that does not fit all ways."""
-    if isinstance(problem, InitialProblem):
-        raise ValueError("an initial problem takes no guess: it is solved step by step")
-    if not isinstance(guess, Trajectory) and not callable(guess):
-        raise TypeError(f"the guess of a trade must fit every mesh: a callable or a Trajectory, got {guess!r}")
-    if shooting and not isinstance(guess, Trajectory):
-        raise TypeError(f"shooting begins at the start of a Trajectory: give one as the guess, got {guess!r}")
+    for solver in solvers:
+        if not isinstance(solver, Solver):
+            raise TypeError(f"solvers must be Solvers, such as [newton, ipopt], got {solver!r}")
+        if isinstance(problem, ControlProblem):
+            check_solver(solver)
+    if guess is not None and not isinstance(guess, Trajectory) and (shooting or not callable(guess)):
+        fits = "a Trajectory, as shooting needs its start" if shooting else "a callable or a Trajectory"
+        raise TypeError(f"the guess of a trade must fit every way: {fits}, got {guess!r}")
     for method, count in grid:
+        check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
         calculus = DiscreteCalculus(method, mesh_of(problem.t_span, count, None, problem.breakpoints))
         guess_values(guess, calculus, problem.dimension)
+    usual = None if stepped else ipopt if isinstance(problem, ControlProblem) else newton
+    chosen: Sequence[Solver | None] = solvers or [usual]
+    ways = [Row(method, count, solver) for method, count in grid for solver in chosen]
+    ways += [Row(method, count, shooting=True) for method, count in grid if shooting]
+    return ways + [Row(solver=solver, tol=check_tolerance(tol)) for solver in chosen for tol in tolerances]
 
 
 def trade(
@@ -259,9 +246,8 @@ def trade(
     if measure is not None and not callable(measure):
         raise TypeError(f"measure must be a callable path -> number, got {measure!r}")
     grid = list(product(_listed("methods", methods), _listed("intervals", intervals)))
-    ways = _ways(problem, grid, _listed("tolerances", tolerances), _solvers(problem, solvers), shooting)
-    if guess is not None:
-        _check_guess(problem, guess, grid, shooting)
+    given = _listed("tolerances", tolerances), _listed("solvers", solvers)
+    ways = _ways(problem, grid, *given, shooting, guess)
     if reference is not None:
         check_reference(problem, reference, measure)
     cells = _cells(problem, ways, guess, measure)

@@ -100,17 +100,16 @@ class Row:
         By shooting, `guess` is a Trajectory.  A mesh that was found for a tolerance is stretched to the time span
         between its breakpoints.
         """
-        if self.adaptive:
-            return solve(problem, tol=self.tol, guess=guess, solver=self.solver)
-        if not self.shooting:
-            if self.mesh is None:
-                return solve(problem, self.method, self.intervals, guess=guess, solver=self.solver)
-            check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
-            own = [self.mesh[0], *self.breakpoints, self.mesh[-1]]
-            mesh = map_times(np.array(self.mesh), own, section_times(problem))
-            return solve(problem, self.method, mesh=mesh, guess=guess, solver=self.solver)
-        given = cast(BoundaryProblem, problem), cast(Galerkin, self.method), self.intervals  # which `shoot` checks
-        return shoot(*given, guess=cast(Trajectory | None, guess))
+        if self.shooting:
+            given = cast(BoundaryProblem, problem), cast(Galerkin, self.method), self.intervals  # which `shoot` checks
+            return shoot(*given, guess=cast(Trajectory | None, guess))
+        if self.mesh is None:
+            method, intervals = (None, None) if self.adaptive else (self.method, self.intervals)
+            return solve(problem, method, intervals, tol=self.tol, guess=guess, solver=self.solver)
+        check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
+        own = [self.mesh[0], *self.breakpoints, self.mesh[-1]]
+        mesh = map_times(np.array(self.mesh), own, section_times(problem))
+        return solve(problem, self.method, mesh=mesh, guess=guess, solver=self.solver)
 
     @property
     def adaptive(self) -> bool:
