@@ -193,10 +193,10 @@ class BoundaryGraph:
         return data[-1][-2 * self.problem.dimension - 1 : -1] if self.problem.free_phase else None
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
-        """Unknowns ξ from node values (N m + 1, d); for the node values of a critical point they are its unknowns.
+        """Unknowns ξ from node values (N m + 1, d); for the node values of a critical point they are nearly its unknowns.
 
-        Unknown velocities at the ends follow from the momenta of the path there.  Multipliers, which enter linearly,
-        are taken from one Newton step.
+        Unknown velocities at the ends are those of the path there.  Multipliers, which enter linearly, are taken from
+        one Newton step.
         """
         numbering = self.numbering
         unknowns = np.zeros(numbering.free)
@@ -204,21 +204,11 @@ class BoundaryGraph:
         last = numbering.positions + numbering.multipliers
         multipliers = slice(numbering.positions, last - sum(len(end.unknown) for end in self._end_velocities))
         if multipliers.stop < last:
-            unknowns[multipliers.stop : last] = self._velocities_of_ends(unknowns, data)
+            path, ends = self.emb(unknowns, data), zip((0, -1), self._end_velocities, strict=True)
+            unknowns[multipliers.stop : last] = np.concatenate([path(path.mesh[k], 1)[end.unknown] for k, end in ends])
         if multipliers.stop > multipliers.start:
             with self.stationarity.linearization() as at:
                 step = at.newton_step(unknowns, data).step
             if np.all(np.isfinite(step)):
                 unknowns[multipliers] = step[multipliers]
         return unknowns
-
-    def _velocities_of_ends(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Unknown velocities at the ends, from the momenta of the path there."""
-        path, parameters, given = self.emb(unknowns, data), self.functional.parameters_of(data), data[-1]
-        momenta, found = np.array(self.functional.function("summary")(unknowns, *data)[1]), []
-        for joint, end in zip((0, -1), self._end_velocities, strict=True):
-            t, v = path.mesh[joint], path(path.mesh[joint], 1)
-            v[end.given], given = np.split(given, [len(end.given)])
-            if end.unknown:
-                found.append(end.of_momentum(t, path.values[:, joint], v, momenta[:, joint], parameters))
-        return np.concatenate(found)
