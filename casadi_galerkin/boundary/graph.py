@@ -193,7 +193,7 @@ class BoundaryGraph:
         return data[-1][-2 * self.problem.dimension - 1 : -1] if self.problem.free_phase else None
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
-        """Unknowns ξ from node values (N m + 1, d); for the node values of a critical point they are nearly its unknowns.
+        """Unknowns ξ from node values (N m + 1, d); for those of a critical point they are nearly its unknowns.
 
         Unknown velocities at the ends are those of the path there.  Multipliers, which enter linearly, are taken from
         one Newton step.
