@@ -114,11 +114,11 @@ def explained(
     failure: SolveFailure,
     path: PiecewisePolynomial,
     data: Data,
-    change: np.ndarray | None,
+    change: np.ndarray,
 ) -> ConvergenceError:
     """Report the failure of a solver, and what caused it in CasADi; `path` is its last iterate.
 
-    Where it ended at a singular Hessian, `change` (d, N m + 1) is a variation that costs nothing.
+    `change`, (d, N m + 1), is a variation that costs next to nothing there; zero where there is none.
     """
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
     g, floor = stationarity.gradient_and_floor(unknowns, data)
@@ -138,12 +138,12 @@ def explained(
         f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, a shorter time span, "
         "or cg.continuation from an easier problem; there may be no path between these ends"
     )
-    if change is not None:
+    opened = open_direction(problem, path, change, ISOLATE if failure.singular else "")
+    if opened and not failure.singular:
+        words += f". {opened}"
+    if failure.singular:
         kind = ConjugatePointError
-        words = (
-            f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free. "
-            f"{open_direction(problem, path, change, ISOLATE)}"
-        )
+        words = f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free. {opened}"
     if numbering.multipliers:
         words += "; the constraints and the conditions on the ends may contradict one another, or say one thing twice"
     if numbering.stretched:

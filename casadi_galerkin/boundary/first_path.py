@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TypeAlias, TypeGuard
 
+import casadi as ca
 import numpy as np
 from numpy.polynomial.legendre import legfit, legval
 
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.graph_cache import GraphCache
-from casadi_galerkin.boundary.homotopy import path_by_homotopy
 from casadi_galerkin.boundary.several_paths import Search
+from casadi_galerkin.boundary.transcription import GraphCache
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
-    equidistributed,
-    parts_wanted,
     resized_mesh,
     resolving_interpolant,
-    truncation_error,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.mapping import by_rows
-from casadi_galerkin.problems.problem import map_times
+from casadi_galerkin.problems.problem import map_times, with_values
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, relative_distance
 from casadi_galerkin.solution.path import Path
@@ -34,7 +32,6 @@ from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
 ITERATIONS = 40  # most iterations of Newton's method before another way is tried; with more it moves far away
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
-COARSENED = 1e-9  # truncation error for which the mesh of a descent is coarsened; with 1e-6 a close passage was lost
 MORE = 4  # factor on the intervals of a coarse mesh that is too coarse for any path; it was always enough
 GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a guess
 # truncation error of a guess on a first mesh: loose for corners and noise, tight for layers
@@ -168,24 +165,11 @@ def _strategies(
 def _by_descent(
     graphs: GraphCache, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
 ) -> CriticalPoint:
-    """Lower the action from a guess, and continue with Newton's method, last on a mesh that is not far too fine."""
+    """Lower the action from a guess, and continue with Newton's method."""
     transcribed = partial(graphs.transcription, Galerkin(DESCENT_DEGREE), mapping=by_rows)
     path = descend(transcribed, transcribed(mesh).guess_on_mesh(guess, mesh), DESCENT_TOLERANCE)
     mesh = resized_mesh(path.mesh, len(path.mesh) - 1, graphs.problem.breakpoints)  # descending moves the joints
-    point = graphs.solve(method, mesh, path, solver)
-    while True:
-        found = point.polynomial
-        parts = parts_wanted(truncation_error(found), method.degree + 1, COARSENED)
-        mesh = equidistributed(found.mesh, parts, breakpoints=graphs.problem.breakpoints)
-        if len(mesh) >= len(found.mesh):
-            return point
-        try:
-            coarser = graphs.solve(method, mesh, found, solver)
-        except ConvergenceError:
-            return point
-        if distance_from_guess(found, coarser.polynomial) > FAR_FROM_GUESS:
-            return point
-        point = coarser
+    return graphs.solve(method, mesh, path, solver)
 
 
 def _by_random_guesses(graphs: GraphCache, method: Galerkin, mesh: np.ndarray, solver: SolverLike) -> CriticalPoint:
@@ -194,3 +178,52 @@ def _by_random_guesses(graphs: GraphCache, method: Galerkin, mesh: np.ndarray, s
     found = search.run(1)[0]
     graphs.iterations += search.iterations + found.iterations
     return graphs.solve(method, found.t, found, solver)
+
+
+GROWTH, LEAST_GROWTH = 10.0, 1.02  # first factor by which a share grows, and the factor below which the path is lost
+LEAST = 1e-8  # smallest share that is tried
+MOST = 100  # largest number of shares that are tried
+
+
+def path_by_homotopy(
+    graphs: GraphCache,
+    guess: PiecewisePolynomial,
+    intermediate_path: Callable[[GraphCache, PiecewisePolynomial], CriticalPoint],
+) -> CriticalPoint:
+    """Find the path of a problem by a homotopy in its force.
+
+    Parameters
+    ----------
+    graphs : GraphCache of the problem
+    guess : guess of the path of the problem
+    intermediate_path : (graphs, guess) -> the path from this guess, on a mesh that resolves it
+    """
+    share, growth, known = 1 / GROWTH, GROWTH, 0.0
+    for _ in range(MOST):
+        part = graphs if share == 1.0 else with_scaled_force(graphs, share)
+        try:
+            point = intermediate_path(part, guess)
+        except ConvergenceError as failure:
+            lost = failure
+            growth = math.sqrt(growth) if known else growth
+            if growth < LEAST_GROWTH or share <= LEAST:
+                break
+            share = known * growth if known else share / GROWTH
+        else:
+            if share == 1.0:
+                return point
+            guess, known, growth = point.polynomial, share, min(growth**1.5, GROWTH)
+            share = min(1.0, known * growth)
+        finally:
+            if part is not graphs:
+                graphs.iterations += part.iterations
+    words = f"the path under a growing share was lost at a share of {share:.2g}: {lost}"
+    raise ConvergenceError(words, lost.path, lost.residual, lost.iterations)
+
+
+def with_scaled_force(graphs: GraphCache, share: float) -> GraphCache:
+    """The problem under a share of its force."""
+    problem = graphs.problem
+    assert problem.force is not None
+    inputs = problem.force.sx_in()
+    return GraphCache(with_values(problem, force=ca.Function("force", inputs, [share * problem.force(*inputs)])))

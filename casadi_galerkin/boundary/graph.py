@@ -124,7 +124,8 @@ class BoundaryGraph:
                 solution = solver(self.stationarity, self.unknowns(begun.values.T, data), data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
-            change = graph.softest(failure.unknowns, data)[1] if failure.singular else None
+            quotient, change = graph.softest(failure.unknowns, data)
+            change = change if quotient < EPS**0.5 and np.isfinite(change).all() else np.zeros_like(change)
             error = explained(problem, self.stationarity, failure, path, data, change)
             raise error from error.__cause__
         if not isinstance(solution, Solution):

@@ -41,8 +41,7 @@ from casadi_galerkin.boundary.first_path import (
     warm_newton,
 )
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.graph_cache import GraphCache
-from casadi_galerkin.boundary.transcription import Transcription
+from casadi_galerkin.boundary.transcription import GraphCache, Transcription
 from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
@@ -239,29 +238,27 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         given = guess_on_resolving_mesh(self.graphs, self.method, guess, mesh, COARSE_RESOLUTION)
         strategies = first_path_strategies(self.graphs, self.method, guess, given, self.solver, self.intermediate_path)
         try:
-            path = self.by_the_first(strategies, [])
-            if guess is None:
-                return path
-            distance = distance_from_guess(given, path.polynomial)
-            if distance <= FAR_FROM_GUESS:
-                return path
-            return replace(path, solver=f"{path.solver}; up to {distance:.2g} of the guess's size away from the guess")
-        except LimitReached as reached:
+            path = self.by_the_first(strategies)
+        except LimitReached as limit:
             if guess is not None or self.out_of_time() or not self.at_pole(self.best[0]):
                 raise
-            limit = reached
-        try:  # with the strategies that are left
-            return self.by_the_first(((name, find) for name, find in strategies if name == RANDOM), [limit])
-        except ConvergenceError:
-            raise limit from None
+            try:  # with what is left of the strategies
+                path = self.by_the_first((name, find) for name, find in strategies if name == RANDOM)
+            except ConvergenceError:
+                raise limit from None
+        distance = 0.0 if guess is None else distance_from_guess(given, path.polynomial)
+        if distance <= FAR_FROM_GUESS:
+            return path
+        return replace(path, solver=f"{path.solver}; up to {distance:.2g} of the guess's size away from the guess")
 
     def at_pole(self, level: CriticalPoint) -> bool:
         """Whether a path leads through a pole of L, which other paths avoid."""
         indicators = scaled_indicators(self.graphs.problem, level.polynomial, level.momentum)
         return bool(np.any(indicators["Lagrangian between points"]))
 
-    def by_the_first(self, strategies: Iterable[Strategy], failures: list[ConvergenceError]) -> Trajectory:
-        """Refine the path of the first strategy that leads to one; `failures` are those of earlier strategies."""
+    def by_the_first(self, strategies: Iterable[Strategy]) -> Trajectory:
+        """Refine the path of the first strategy that leads to one."""
+        failures = list[ConvergenceError]()
         for name, find in strategies:
             began, before, first = time.perf_counter(), self.iterations, None
             try:

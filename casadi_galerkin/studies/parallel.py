@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from casadi_galerkin._solve import solve, transcribe
-from casadi_galerkin.boundary.problem_data import data_vector, nearest
+from casadi_galerkin.boundary.neighboring_problems import data_vector, nearest
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import or_one

@@ -12,7 +12,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.branch_jumps import jumps
+from casadi_galerkin.boundary.neighboring_problems import jumps
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted

@@ -12,8 +12,8 @@ from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.error_estimate import agreement, discretization_error
-from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.refinement import BoundaryRefinement
+from casadi_galerkin.boundary.transcription import GraphCache
 
 TOLERANCES = (1e-3, 1e-6, 1e-12)
 WORST = 5.0  # no success may have an error above this many tolerances

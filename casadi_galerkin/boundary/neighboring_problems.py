@@ -1,29 +1,79 @@
-"""Whether paths of neighboring problems lie on one branch, judged by the change of the action and the Morse index.
+"""Problems that differ in their given values only, and whether their paths lie on one branch.
 
-Along a smooth family of critical points, the action changes by its partial derivatives by the data only, since its
-derivatives by the path vanish: dS = p_N·dx_N - p_0·dx_0 - E_N dt_N + E_0 dt_0 + ∂S/∂π·dπ, with parameters π.  Where S
-is convex or concave between two of them, its change lies between the first-order predictions from both; a little more
-is allowed.  A path of another branch has another action.  It may also have another Morse index, which changes along a
-family at conjugate points only.
+The given values of a problem are its ends, times, parameters, velocities, momenta and energy, as one vector.  Along a
+smooth family of critical points, the action changes by its partial derivatives by the data only, since its derivatives
+by the path vanish: dS = p_N·dx_N - p_0·dx_0 - E_N dt_N + E_0 dt_0 + ∂S/∂π·dπ, with parameters π.  Where S is convex or
+concave between two of them, its change lies between the first-order predictions from both; a little more is allowed.
+A path of another branch has another action.  It may also have another Morse index, which changes along a family at
+conjugate points only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import cast
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.boundary.graph_cache import GraphCache
-from casadi_galerkin.boundary.problem_data import data_vector, nearest
-from casadi_galerkin.boundary.transcription import SecondVariation, Transcription
+from casadi_galerkin.boundary.transcription import GraphCache, SecondVariation, Transcription
+from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.mapping import by_rows
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import section_times
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given
+from casadi_galerkin.problems.problem import VARIED, Problem, is_given, section_times
 from casadi_galerkin.solution.trajectory import Trajectory
+
+
+def _given(problem: Problem) -> dict[str, Given]:
+    """All given values by name; None where a component is free."""
+    values = {name: getattr(problem, name, None) for name in VARIED}
+    return {name: value if isinstance(value, tuple) else (value,) for name, value in values.items() if is_given(value)}
+
+
+def same_statement(one: Problem, other: BoundaryProblem) -> bool:
+    """Whether one of two problems may be `varied` from the other: the same components given, the same breakpoints."""
+    if not isinstance(one, BoundaryProblem) or one.breakpoints != other.breakpoints:
+        return False
+    patterns = [
+        {name: [a is None for a in value] for name, value in _given(problem).items()} for problem in (one, other)
+    ]
+    return patterns[0] == patterns[1]
+
+
+def data_vector(problem: Problem) -> np.ndarray:
+    """All given numbers of a problem, its times first."""
+    return np.array([*problem.t_span, *(a for a in chain(*_given(problem).values()) if a is not None)])
+
+
+def interpolated_problem(one: BoundaryProblem, other: BoundaryProblem, share: float) -> BoundaryProblem:
+    """The problem with given values interpolated linearly between those of two problems; `share` is 0 at `one`."""
+    start, end = ((1 - share) * a + share * b for a, b in zip(one.t_span, other.t_span, strict=True))
+    before, after = _given(one), _given(other)
+    changes: dict[str, object] = {}
+    for name, values in after.items():
+        mixed = [
+            None if a is None or b is None else (1 - share) * a + share * b
+            for a, b in zip(before[name], values, strict=True)
+        ]
+        changes[name] = mixed[0] if name == "energy" else mixed
+    return other.varied(changes, (start, end))
+
+
+def ends_replaced(values: np.ndarray, problem: BoundaryProblem) -> np.ndarray:
+    """Node values (d, N m + 1) of a path with the ends of another problem, and nothing else changed."""
+    moved, ends = values.copy(), problem.given_positions.T
+    moved[:, [0, -1]] = np.where(np.isnan(ends), values[:, [0, -1]], ends)
+    return moved
+
+
+def nearest(values: np.ndarray, known: np.ndarray, spread: np.ndarray) -> int:
+    """Number of the row of `known` that is nearest to `values`, with distances in units of `spread`."""
+    difference = (known - values) / or_one(spread)
+    return int(np.argmin(np.sum(difference**2, axis=1)))
+
 
 BENT = 0.03  # part of the changes to first order that is allowed where S bends both ways between two points
 ROUGH = 1e-6  # relative error of the action that is allowed for a coarse mesh
