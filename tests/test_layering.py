@@ -103,7 +103,7 @@ def test_numpy_modules_know_nothing_of_casadi():
     assert [module for module in modules if any(name.split(".")[0] == "casadi" for name in imports(module))] == []
 
 
-FACTORIZING = "functional.linear_equations", "solvers.linear_solver"
+FACTORIZING = "problems.linear_equations", "solvers.linear_solver"
 
 
 def called(module: str) -> set[str]:

@@ -32,10 +32,10 @@ from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import LONGER, first_found
 from casadi_galerkin.control.two_comparisons import compared, from_near
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
-from casadi_galerkin.functional.constrained_motion import check_points, off_constraint, tangent_at_joints
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE
+from casadi_galerkin.problems.constrained_motion import check_points, off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory

@@ -29,10 +29,10 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
 from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph
 from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
-from casadi_galerkin.functional.linear_equations import NO_CUTOFF
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.solution.control_trajectory import RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 

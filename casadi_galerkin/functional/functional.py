@@ -38,11 +38,11 @@ from casadi_galerkin.functional.embedding import (
     summed,
     variation,
 )
-from casadi_galerkin.functional.linear_equations import NO_CUTOFF
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, Numbering, kept
 from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 
 Parts: TypeAlias = tuple[dict[str, ca.MX], dict[str, ca.MX]]  # inputs beside the symbols, and outputs, by name
 

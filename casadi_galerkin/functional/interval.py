@@ -35,9 +35,9 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY
-from casadi_galerkin.functional.linear_equations import NO_CUTOFF, solve_scaled
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.legendre_transform import momentum_at
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
 DOUBLINGS = 4  # doublings of the number of Newton iterations, to at most 16; 1 to 8 were needed, most for large steps
 # estimated relative Newton step that is no longer taken; the estimate was measured up to 60 times too small

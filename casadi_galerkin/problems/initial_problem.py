@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
+import numpy as np
 
 from casadi_galerkin.problems.callables import Traceable
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
+from casadi_galerkin.problems.constrained_motion import tangent_momenta
+from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.problems.statements import (
     function,
@@ -18,6 +21,7 @@ from casadi_galerkin.problems.statements import (
     span,
     whole_vector,
 )
+from casadi_galerkin.problems.velocities import velocities
 
 STATEMENTS = {
     "position": whole_vector,
@@ -91,3 +95,29 @@ class InitialProblem(Problem):
         if (momentum is None) == (velocity is None):
             raise ValueError(f"give either momentum or velocity, got momentum={momentum!r} and velocity={velocity!r}")
         self._state(locals())
+
+    @property
+    def start_state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
+        lagrangian = self.numeric.lagrangian
+        legendre = legendre_transform(lagrangian)
+        x, start = np.array(self.position), self.t_span[0]
+        v, given = np.array(self.velocity or np.zeros(len(x))), self.momentum
+        if given is not None:
+            at = np.array([start]), x[:, None]
+            p = tangent_momenta(self, *at, np.array(given)[:, None], v[:, None])
+            v = velocities(legendre, *at, p, v[:, None])[:, 0]
+        tried = np.where(np.isfinite(v), v, 0.0)
+        momentum, mass = (np.array(a) for a in legendre(start, x, tried))
+        refuse_degenerate(mass, f"at the start, x = {x}, v = {tried}")
+        if not np.all(np.isfinite(v)):
+            raise ValueError(
+                f"no velocity was found that has the momentum {given} at the start, x = {x}; give the velocity"
+            )
+        if np.isnan(float(lagrangian(start, x, v))):
+            raise ValueError(f"the lagrangian is not a number at the start, x = {self.position}, v = {v.tolist()}")
+        return (momentum if given is None else p).ravel(), v
+
+    def _check_values(self) -> None:
+        super()._check_values()
+        _ = self.start_state  # which refuses a start that has no velocity or no mass

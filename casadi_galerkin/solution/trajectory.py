@@ -16,12 +16,12 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import truncation_error
 from casadi_galerkin.calculus.numbers import checked_index, counted, number, spanned, told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import times_within
-from casadi_galerkin.functional.constrained_motion import motion_of, multipliers
 from casadi_galerkin.functional.mapping import at_places
-from casadi_galerkin.functional.velocities import velocities
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import Problem
+from casadi_galerkin.problems.velocities import velocities
 from casadi_galerkin.solution.error_indicators import error_indicators
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.path import Path

@@ -14,8 +14,8 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.linear_equations import solve_scaled
 from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
+from casadi_galerkin.problems.linear_equations import solve_scaled
 
 SHIFTED = 1e-8  # shift of the diagonal where a pivot is zero, relative to the sum of its row: half of all digits
 DEFECT_TOLERANCE = 1e-3  # accepted defect of a solution, over its right-hand side

@@ -18,8 +18,8 @@ import numpy as np
 
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.linear_equations import NO_CUTOFF
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 

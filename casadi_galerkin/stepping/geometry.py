@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.functional.constrained_motion import motion_of, tangents
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import Traceable, trace
+from casadi_galerkin.problems.constrained_motion import motion_of, tangents
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.stepper import Stepper

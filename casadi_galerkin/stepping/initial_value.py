@@ -13,11 +13,9 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
 from casadi_galerkin.calculus.numbers import told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.functional.constrained_motion import off_constraint, tangent_momenta
-from casadi_galerkin.functional.velocities import velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -32,10 +30,7 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     equations do not see what lies between quadrature points.  The energy then jumps.
     """
     began = time.perf_counter()
-    p, v = start_state(problem)
-    action = problem.numeric.lagrangian(problem.t_span[0], problem.position, v)
-    if np.isnan(float(action)):
-        raise ValueError(f"the lagrangian is not a number at the start, x = {problem.position}, v = {v.tolist()}")
+    p, v = problem.start_state
     stepper = Stepper(problem, method)
     roll = verified(stepper.roll(np.array(problem.position), p, v, mesh), stepper)
     build = stepper.build_seconds
@@ -45,25 +40,6 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     if verbose:
         print(path)
     return path
-
-
-def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
-    legendre = legendre_transform(problem.numeric.lagrangian)
-    x, start = np.array(problem.position), problem.t_span[0]
-    v, given = np.array(problem.velocity or np.zeros(len(x))), problem.momentum
-    if given is not None:
-        at = np.array([start]), x[:, None]
-        p = tangent_momenta(problem, *at, np.array(given)[:, None], v[:, None])
-        v = velocities(legendre, *at, p, v[:, None])[:, 0]
-    tried = np.where(np.isfinite(v), v, 0.0)
-    momentum, mass = (np.array(a) for a in legendre(start, x, tried))
-    refuse_degenerate(mass, f"at the start, x = {x}, v = {tried}")
-    if not np.all(np.isfinite(v)):
-        raise ValueError(
-            f"no velocity was found that has the momentum {given} at the start, x = {x}; give the velocity"
-        )
-    return (momentum if given is None else p).ravel(), v
 
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:

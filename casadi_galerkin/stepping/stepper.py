@@ -15,8 +15,8 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.buffers import Evaluator
-from casadi_galerkin.functional.constrained_motion import check_points
 from casadi_galerkin.functional.interval import TAYLOR, SlopeBasis, interval, newton_iteration
+from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 

@@ -19,9 +19,9 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
-from casadi_galerkin.functional.linear_equations import solve_scaled
 from casadi_galerkin.problems.callables import depends_on_time
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
 ITERATIONS = 20
