@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.several_paths import FINER, PATIENCE, SAME, SEED, Search, Symmetry, image
-from casadi_galerkin.boundary.transcription import Transcription, transcribed
+from casadi_galerkin.boundary.transcription import GraphCache, Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.numbers import checked_index, counted, number, whole_number
