@@ -114,11 +114,11 @@ def explained(
     failure: SolveFailure,
     path: PiecewisePolynomial,
     data: Data,
-    change: np.ndarray,
+    change: np.ndarray | None,
 ) -> ConvergenceError:
     """Report the failure of a solver, and what caused it in CasADi; `path` is its last iterate.
 
-    `change`, (d, N m + 1), is a variation that costs next to nothing there; zero where there is none.
+    `change`, (d, N m + 1), is a variation that costs next to nothing there; None where there is none.
     """
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
     g, floor = stationarity.gradient_and_floor(unknowns, data)
@@ -138,7 +138,9 @@ def explained(
         f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, a shorter time span, "
         "or cg.continuation from an easier problem; there may be no path between these ends"
     )
-    opened = open_direction(problem, path, change, ISOLATE if failure.singular else "")
+    opened = ISOLATE if failure.singular else ""
+    if change is not None:
+        opened = open_direction(problem, path, change, opened)
     if opened and not failure.singular:
         words += f". {opened}"
     if failure.singular:

@@ -124,8 +124,10 @@ class BoundaryGraph:
                 solution = solver(self.stationarity, self.unknowns(begun.values.T, data), data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
-            quotient, change = graph.softest(failure.unknowns, data)
-            change = change if quotient < EPS**0.5 and np.isfinite(change).all() else np.zeros_like(change)
+            change = None
+            if failure.singular or not self.numbering.stretched:
+                quotient, softest_change = graph.softest(failure.unknowns, data)
+                change = softest_change if quotient < EPS**0.5 and np.isfinite(softest_change).all() else None
             error = explained(problem, self.stationarity, failure, path, data, change)
             raise error from error.__cause__
         if not isinstance(solution, Solution):
@@ -151,7 +153,7 @@ class BoundaryGraph:
 
     def softest(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray]:
         """Smallest second variation over the sizes of its terms, and its variation at the nodes, (d, N m + 1)."""
-        with self.stationarity.linearization() as at:
+        with self.stationarity.linearization() as at, np.errstate(all="ignore"):
             direction, quotient = softest(at, unknowns, data)
             if quotient == 0:  # to the last digit: other rounding shows the direction
                 at.matrix[:] *= 1 + EPS * np.random.default_rng(len(unknowns)).choice((-1.0, 1.0), len(at.matrix))
