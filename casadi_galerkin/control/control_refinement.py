@@ -25,7 +25,7 @@ from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.control.control_transcription import SHORTEST, transcribed_control
+from casadi_galerkin.control.control_transcription import SHORTEST_STEP, transcribed_control
 from casadi_galerkin.control.idle_breakpoints import switch_times, with_joined_phases, with_parted_phases
 from casadi_galerkin.control.starts import distinct_optima, optima_of
 from casadi_galerkin.control.two_comparisons import CLOSE, TwoComparisons, compared, from_near
@@ -43,7 +43,9 @@ from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
-PATIENCE = 4  # levels in a row without a smaller error, as meshes may alternate, after which every interval is halved
+ALTERNATING = (
+    4  # levels in a row without a smaller error, as meshes may alternate, after which every interval is halved
+)
 LEFT_OPEN = (
     "The cost hardly depends on the path: give a cost_tol in place of tol, add a small cost of the control, or leave "
     "out a waypoint at a free time that asks for nothing"
@@ -157,7 +159,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         detail = estimate.detail
         if detail is not None:
             self.check_meshes_help(detail)
-        if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
+        if detail is None or (self.fruitless > 0 and self.fruitless % ALTERNATING == 0):
             return self.scaled(halved(level.t), level)
         idle = len(self.stated.breakpoints) > len(self.breakpoints)
         joints = switch_times(detail.better) if idle else ()
@@ -189,7 +191,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
     def shortest(self, mesh: np.ndarray) -> np.ndarray:
         """Lengths of intervals that can still be halved, and divided for a comparison."""
         rounded = NEAREST * np.max(np.abs(mesh)) / CLOSE
-        return np.full(len(mesh) - 1, max(2 * SHORTEST * np.ptp(mesh), rounded))
+        return np.full(len(mesh) - 1, max(2 * SHORTEST_STEP * np.ptp(mesh), rounded))
 
     def path_tol(self, detail: TwoComparisons) -> float:
         """Error of the path to aim at: larger where only the cost counts, whose error is of the order of its square."""

@@ -47,7 +47,7 @@ from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
 WILD = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
 UNMOVED = 1e-5  # part of the largest terms on the straight line below which those of a component do not count
-SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
+SHORTEST_STEP = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
 
@@ -372,9 +372,9 @@ def _check_steps(mesh: np.ndarray) -> None:
     """Refuse intervals so short that rounding of their terms, |x|/h, hides the residuals of others."""
     steps = np.diff(mesh)
     i = int(np.argmin(steps))
-    if steps[i] < SHORTEST * (mesh[-1] - mesh[0]):
+    if steps[i] < SHORTEST_STEP * (mesh[-1] - mesh[0]):
         raise ValueError(
-            f"the interval from t = {mesh[i]} to {mesh[i + 1]} is shorter than {SHORTEST:g} of the duration: "
+            f"the interval from t = {mesh[i]} to {mesh[i + 1]} is shorter than {SHORTEST_STEP:g} of the duration: "
             "leave out one of these joints"
         )
 

@@ -20,8 +20,8 @@ from casadi_galerkin.solvers.deadline import limited
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; with an unbounded cost the iteration does not end
 TOLERANCE = 1e-12  # for IPOPT's scaled optimality error; with 1e-10 errors of the cost of 3e-9 were seen
-# Accepted after `ACCEPTABLE_ITERATIONS` where roundoff keeps IPOPT from TOLERANCE, and by fatrop, in one of ten problems;
-# its costs differ from IPOPT's by 1e-9 to 2e-8 of themselves.  Momenta that change by less are those of no force.
+# Accepted after `ACCEPTABLE_ITERATIONS` where roundoff keeps IPOPT from TOLERANCE, in one of ten problems, and by
+# fatrop; its costs differ from IPOPT's by 1e-9 to 2e-8 of themselves.  Momenta that change by less are of no force.
 ACCEPTABLE = 1e-9
 ACCEPTABLE_ITERATIONS = 4
 # IPOPT's barrier grows with the number of bounds.  With its default of 0.1 on a fine mesh, which has many bounds, the

@@ -39,7 +39,7 @@ CLOSE = 0.05  # the same for an old joint that stays
 UNSMOOTH = 0.25  # ratio of the last two Legendre coefficients to the two before from which a path is not smooth
 KINK_ORDER = 2  # of the error where it is not: a jump of the acceleration inside a step h changes x by the order of h²
 LEAST_PARTS, MOST_PARTS = 0.25, 4.0  # parts that an interval becomes at once
-WARM_BARRIER = 1e-4  # first barrier of IPOPT from an earlier path: with 1e-2 a robot arm left its path, and found none
+NEAR_BARRIER = 1e-4  # first barrier of IPOPT from an earlier path: with 1e-2 a robot arm left its path, and found none
 # Ratio of IPOPT's tolerance to its last barrier.  The barrier keeps values off bounds to which little pushes them, such
 # as controls on the short intervals beside a switch: with IPOPT's own 10, the mass of a rocket was known to 3e-7 only.
 BARRIER_RATIO = 1e4
@@ -56,7 +56,7 @@ def from_near(solver: Solver, path: ControlTrajectory) -> Solver:
 
     IPOPT's tolerances are absolute: a small cost is measured in its own size.
     """
-    options = {"mu_init": WARM_BARRIER, "barrier_tol_factor": BARRIER_RATIO}
+    options = {"mu_init": NEAR_BARRIER, "barrier_tol_factor": BARRIER_RATIO}
     if solver.name == ipopt.name and 0 < path.cost_size < 1:
         options["obj_scaling_factor"] = 1 / path.cost_size
     return replace(solver, options={**options, **solver.options})

@@ -25,11 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SMALL = 1e-6  # size over that of the largest component below which a component may be an error of the solver only
-# relative change of the cost from which the summary reports it; optima near one have less than 1e-9
-REPORTED_COST_CHANGE = 1e-6
+REPORTED = 1e-6  # change of the cost, over its size, from which the summary tells of it; optima have less than 1e-9
 REMAINDER_FACTOR = 10.0  # size over the error that the solver leaves up to which a component counts as zero
-CONTINUOUS = 1e-8  # jump of a control over the largest control up to which it is an error of the solver
-SHOWN_STEP = 1e-6  # size of an unseen step, times duration over cost, from which the summary shows it
 STEP = (
     "a callable steps, as x or v pass some value or at a given time while durations or parameters are free, and no "
     "derivative shows it: smooth the step, or state what is before and behind it as phases"
@@ -215,7 +212,7 @@ class ControlTrajectory(Trajectory):
         values = u.at(ends).reshape(len(u.values), -1, 2)
         jumps = np.abs(values[:, 1:, 0] - values[:, :-1, 1])
         largest = component_sizes(u.values)[:, None]
-        if np.any(jumps > CONTINUOUS * largest):
+        if np.any(jumps > FEASIBLE * largest):
             k, i = np.unravel_index(np.argmax(jumps / largest), jumps.shape)
             raise ValueError(
                 f"the control u[{k}] jumps by {jumps[k, i]:.3g} at the joint t = {self.t[i + 1]:.6g}, where "
@@ -398,7 +395,7 @@ class ControlTrajectory(Trajectory):
 
     def _not_optimal(self) -> bool:
         """Whether further Newton steps would change the cost by more than a solver should leave."""
-        return self.unseen_change > REPORTED_COST_CHANGE * self.cost_size
+        return self.unseen_change > REPORTED * self.cost_size
 
     def _kind(self) -> str:
         """The kind of critical point, in words; none where the solver has stopped before one."""
@@ -426,7 +423,7 @@ class ControlTrajectory(Trajectory):
     def _stepping(self) -> list[str]:
         """A line on a step of a callable that the solver has not seen."""
         sizes, times = self.between_points.unseen_steps.sizes, self.between_points.unseen_steps.times
-        if not np.max(sizes) * np.ptp(self.t) > SHOWN_STEP * self.cost_size:
+        if not np.max(sizes) * np.ptp(self.t) > REPORTED * self.cost_size:
             return []
         return [f"  NOT RESOLVED: at t = {times[np.argmax(sizes)]:.6g} {STEP}"]
 

@@ -52,24 +52,17 @@ class BetweenPoints:
         mechanical = self.problem.mechanical
         return np.vstack((self.path.momentum[:mechanical], self.path.x[mechanical:]))
 
-    def motion(self, parts: np.ndarray, controls: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Momenta and forces at fractions (K,) of every interval, (d, N, K) each, with its controls or others."""
+    def motion(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Momenta and forces at fractions (K,) of every interval, (d, N, K) each."""
         times, x, v = self.path.polynomial.sampled(parts)
         pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.path.multipliers(times)
-        u = self.control.at(parts) if controls is None else controls
-        momentum, rate = at_places(equations_of_motion(self.problem), times, x, v, u, pushes)
+        momentum, rate = at_places(equations_of_motion(self.problem), times, x, v, self.control.at(parts), pushes)
         shape = len(x), -1, len(parts)
         return momentum.reshape(shape), rate.reshape(shape)
 
     def _impulses(self, rule: Quadrature) -> np.ndarray:
         """Integrals of the forces over every interval by a rule; (d, N)."""
         return self.motion(np.array(rule.points))[1] @ np.array(rule.weights) * np.diff(self.path.t)
-
-    @cached_property
-    def impulse_sizes(self) -> np.ndarray:
-        """Largest momentum plus the sum of all impulses, of every component; one where that is zero; (d,)."""
-        impulses = np.abs(self._impulses(self.path.method.quadrature))
-        return or_one(np.abs(self.momenta).max(axis=1) + impulses.sum(axis=1))
 
     @cached_property
     def cost_of_forces(self) -> float:
@@ -91,8 +84,9 @@ class BetweenPoints:
     def control_misfit(self) -> np.ndarray:
         """As in `ControlTrajectory`."""
         rule = self.path.method.quadrature
-        missed = self._impulses(gauss(len(rule) + 2)) - self._impulses(rule)
-        return (np.abs(missed) / self.impulse_sizes[:, None]).max(axis=0)
+        impulses = self._impulses(rule)
+        sizes = or_one(np.abs(self.momenta).max(axis=1) + np.abs(impulses).sum(axis=1))
+        return (np.abs(self._impulses(gauss(len(rule) + 2)) - impulses) / sizes[:, None]).max(axis=0)
 
     @cached_property
     def control_overshoot(self) -> np.ndarray:

@@ -316,7 +316,7 @@ def test_a_cost_that_is_zero_is_told_at_once(name, tol):
 
 def test_a_mesh_with_too_short_an_interval_is_a_limit(monkeypatch):
     """It was told in words for the joints of a user."""
-    monkeypatch.setattr("casadi_galerkin.control.control_refinement.SHORTEST", 1e-2)
+    monkeypatch.setattr("casadi_galerkin.control.control_refinement.SHORTEST_STEP", 1e-2)
     with pytest.raises(cg.LimitReached, match=r"the mesh would need intervals of \d.*, estimated from degree"):
         cg.solve(late_start(), tol=1e-6)
 
