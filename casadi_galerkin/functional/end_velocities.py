@@ -17,7 +17,6 @@ from casadi_galerkin.functional.numbering import CACHE_SIZE
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.legendre_transform import coupled_by_mass
 from casadi_galerkin.problems.problem import ENDS
-from casadi_galerkin.problems.velocities import velocities
 
 
 class EndVelocities(NamedTuple):
