@@ -52,6 +52,7 @@ ITERATIONS = 20  # most iterations for a fold, whose tolerance rounding may prev
 HALVINGS = 6  # most halvings of a step until Newton's method leads to the branch point on it
 SAME = 1e-5  # distance over the sizes of paths below which branch points are one: each is known up to rounding
 LOST = 0.01  # truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
+DENSE = 1000  # unknowns from which no determinant is computed, 0.1 s each: without an index no branch point is seen
 STEPS = 3000  # most steps along a branch, those that were too long included
 
 
@@ -289,7 +290,7 @@ class BranchFollower(Curve[PathPoint]):
         """The number of negative eigenvalues, and the sign that changes at branch points alone."""
         negative = negative_eigenvalues(self.stationarity, z[:-1], self.data(z[-1]))
         if negative is None:
-            return None, self.orientation(z, tangent)
+            return None, self.orientation(z, tangent) if len(z) < DENSE else np.nan
         return negative, float(np.sign(tangent[-1]) * (-1) ** negative)
 
     def taken(self, point: PathPoint, step: float) -> PathPoint | None:
