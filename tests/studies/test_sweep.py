@@ -15,6 +15,7 @@ from control_problems import double_integrator
 from motions import henon_heiles, kepler
 from scenes import BY_NAME, DAMPED, bratu_problem
 from sent_guesses import arched, deadly, dividing, pushed, unbuildable, unpicklable
+from slow import slow
 
 import casadi_galerkin as cg
 
@@ -125,6 +126,7 @@ def test_guess_of_a_variation_is_its_own():
     assert (low.morse_index, high.morse_index) == (0, 1)
 
 
+@pytest.mark.slow
 def test_with_a_tolerance_every_path_keeps_it():
     sweep = cg.sweep(bratu_problem(), [{"parameters": [0.01]}, {"parameters": [3.5]}, {"parameters": [9.0]}], tol=1e-8)
     assert sweep[0].error_estimate <= 1e-8
@@ -188,7 +190,7 @@ def test_variations_on_another_branch_are_told():
     )
 
 
-@pytest.mark.parametrize("step", [0.1, 1.0, 5.0])
+@pytest.mark.parametrize("step", [0.1, *slow(1.0, 5.0)])
 def test_another_branch_is_told_where_the_action_changes_much_along_both(step):
     """The potential is counted from another zero, which changes all actions alike."""
     problem = cg.BoundaryProblem(
