@@ -11,8 +11,7 @@ from control_problems import cart_pole
 from paths import script
 
 import casadi_galerkin as cg
-from casadi_galerkin.functional.buffers import interrupts_raised
-from casadi_galerkin.functional.threads import fork_waits
+from casadi_galerkin.functional.buffers import fork_waits, interrupts_raised
 
 state = script("state")
 

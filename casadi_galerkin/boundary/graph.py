@@ -16,11 +16,10 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.functional.boundary_terms import functional_of, given_values
-from casadi_galerkin.functional.end_velocities import end_velocities
+from casadi_galerkin.functional.boundary_terms import end_velocities, functional_of, given_values
+from casadi_galerkin.functional.buffers import fork_waits
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Data, joints_of
-from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends

@@ -31,9 +31,8 @@ from casadi_galerkin.control.program_bounds import bounds_of, check_count, check
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import LONGER, first_found
 from casadi_galerkin.control.two_comparisons import compared, from_near
-from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
+from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, fork_waits, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
-from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.constrained_motion import check_points, off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem

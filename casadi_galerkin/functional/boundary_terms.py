@@ -21,23 +21,49 @@ x = given is imposed on it (`imposed` below).
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap
-from casadi_galerkin.functional.numbering import Numbering
+from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
-from casadi_galerkin.problems.legendre_transform import momentum_at
-from casadi_galerkin.problems.problem import END_MOTIONS, is_given
+from casadi_galerkin.problems.legendre_transform import coupled_by_mass, momentum_at
+from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, is_given
+
+
+class EndVelocities(NamedTuple):
+    """The velocities at one end.
+
+    Attributes
+    ----------
+    given : components whose velocity is given
+    unknown : components whose velocity is not given, but on which the momentum of a given or unknown one depends
+    """
+
+    given: list[int]
+    unknown: list[int]
+
+
+@lru_cache(2 * CACHE_SIZE)
+def _at_end(lagrangian: ca.Function, given: tuple[bool, ...]) -> EndVelocities:
+    is_given = np.array(given)
+    reached = coupled_by_mass(lagrangian, is_given) if any(given) else is_given
+    return EndVelocities(*(np.flatnonzero(which).tolist() for which in (is_given, reached & ~is_given)))
+
+
+def end_velocities(problem: BoundaryProblem) -> list[EndVelocities]:
+    """The velocities at the start and at the end of a problem."""
+    stated = [tuple(value is not None for value in getattr(problem, f"{end}_velocity")) for end in ENDS]
+    return [_at_end(problem.lagrangian, given) for given in stated]
 
 
 def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: PointMap) -> Functional:

@@ -21,10 +21,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
+from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, fork_waits, one_thread
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.functional.threads import fork_waits, one_thread
 from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 
 Built = TypeVar("Built")

@@ -24,7 +24,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
-from casadi_galerkin.functional.end_velocities import end_velocities
+from casadi_galerkin.functional.boundary_terms import end_velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform

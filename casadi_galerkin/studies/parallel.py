@@ -28,8 +28,7 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.control_refinement import first_control_discretization
-from casadi_galerkin.functional.buffers import interrupts_raised
-from casadi_galerkin.functional.threads import fork_waits
+from casadi_galerkin.functional.buffers import fork_waits, interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import VARIED, map_times, section_times
