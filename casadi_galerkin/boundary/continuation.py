@@ -37,6 +37,7 @@ from casadi_galerkin.solvers.curve import Crossing, Curve, Point
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 
+PARAMETERS = 3  # their place among the data
 FIRST_STEP = 0.05  # arc length, in which the path is relative to how far the branch has led
 CROSSING_STEP = (
     1e-3  # a shorter step may pass what is no simple branch point, instead of having jumped to a branch nearby
@@ -202,18 +203,16 @@ class BranchFollower(Curve[PathPoint]):
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
         self.transcription = transcription
-        self.begun, self.aim = np.array(transcription.problem.parameters), target
-        first, last = transcription.problem, with_values(transcription.problem, parameters=tuple(target.tolist()))
-        check(last, [singular_mass])  # other rules may hold no longer where the branch turns back before
-        data, aim = (transcription.for_problem(problem).data(transcription.mesh) for problem in (first, last))
-        super().__init__(transcription.stationarity, data, aim)
+        data = transcription.data(transcription.mesh)
+        super().__init__(transcription.stationarity, data, (*data[:PARAMETERS], target, *data[PARAMETERS + 1 :]))
+        # other rules may hold no longer where the branch turns back before
+        check(self.problem(np.ones(1)), [singular_mass])
         self.weights = np.ones(transcription.numbering.free + 1)
         self.nodes: list[Node] = []
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
-        """Parameters at a point z, exact at both ends."""
-        change = self.aim - self.begun
-        return self.begun + z[-1] * change if z[-1] < 0.5 else self.aim - (1 - z[-1]) * change
+        """Parameters at a point z."""
+        return self.data(z[-1])[PARAMETERS]
 
     def problem(self, z: np.ndarray) -> BoundaryProblem:
         """The problem at a point z."""
@@ -237,21 +236,17 @@ class BranchFollower(Curve[PathPoint]):
         follow = self.directions(z)[1]
         if not np.isfinite(follow).all():
             raise ConvergenceError(
-                f"the branch cannot be followed from the parameters {self.begun}: the path changes there at a rate "
-                "that is not finite. Begin at other parameters",
+                f"the branch cannot be followed from the parameters {self.parameters(z)}: the path changes there at a "
+                "rate that is not finite. Begin at other parameters",
                 self.transcription.trajectory(start, 0.0),
             )
         self.expect(z, follow)
         point = self.point(z, np.append(follow, 1.0), start)
         assert point.trajectory is not None
-        unresolved = self.unresolved(point.trajectory)
-        if unresolved:
-            raise ConvergenceError(f"the first path of the branch is {unresolved}", point.trajectory)
+        if unresolved := point.trajectory._unresolved(LOST):
+            words = f"the first path of the branch is {''.join(unresolved).strip()}"
+            raise ConvergenceError(words, point.trajectory)
         return point
-
-    def unresolved(self, trajectory: Trajectory) -> str:
-        """That the mesh does not resolve the path, and where; empty if it does."""
-        return "".join(trajectory._unresolved(LOST)).strip()
 
     def expect(self, z: np.ndarray, follow: np.ndarray) -> None:
         """Expect changes of the path up to the target from those a little way ahead, but at most its sizes.
@@ -369,9 +364,8 @@ class BranchFollower(Curve[PathPoint]):
         self.weigh(first.z)
         for point in self.walk(first, FIRST_STEP, STEPS):
             assert point.trajectory is not None
-            unresolved = self.unresolved(point.trajectory)
-            if unresolved:
-                stopped = f"the next one, at {self.parameters(point.z)}, is {unresolved}"
+            if unresolved := point.trajectory._unresolved(LOST):
+                stopped = f"the next one, at {self.parameters(point.z)}, is {''.join(unresolved).strip()}"
                 break
             if point.missed:
                 missed.append(len(points))
@@ -399,7 +393,9 @@ class BranchFollower(Curve[PathPoint]):
                 f"cannot be followed beyond the parameters {self.parameters(before.z)}: no step is short enough. "
                 "Another branch may cross it there, or its paths grow without bound"
             )
-        parameters = np.array([self.parameters(point.z) for point in points]).reshape(len(points), len(self.aim))
+        parameters = np.array([self.parameters(point.z) for point in points]).reshape(
+            len(points), len(self.parameters(first.z))
+        )
         paths = tuple(point.trajectory for point in points if point.trajectory is not None)
         reached = stopped == "the target"
         return Branch(parameters, paths, tuple(folds), reached, stopped, tuple(crossed), origin, tuple(missed)), lost

@@ -131,6 +131,7 @@ def test_where_the_index_changes_by_two_it_is_said():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_of_carriers_problem_four_paths_are_one_component():
     """They meet in one fold, and in a pitchfork on the branch of the symmetric ones."""
     carrier = cg.BoundaryProblem(
