@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.neighboring_problems import jumps
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -235,6 +235,7 @@ def sweep(
     [6.0, 7.0, 8.0]
     """
     check_kind(problem, BoundaryProblem, ControlProblem)
+    check_method(method, optional=True)
     if isinstance(variations, (str, Mapping)) or not isinstance(variations, Iterable):
         raise TypeError(f"variations must be a sequence of dicts, got {variations!r}")
     if executor is not None and (isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor)):

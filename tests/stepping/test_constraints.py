@@ -69,6 +69,7 @@ def test_order_at_the_joints_is_that_without_a_constraint(finely_stepped, degree
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(method.order, abs=0.2)
 
 
+@pytest.mark.slow
 def test_ten_thousand_steps_leave_the_constraint_no_farther_than_a_hundred():
     problem = cg.InitialProblem(planar, (0, 1000.0), [1.0, 0.0], velocity=[0.0, 0.3], constraint=unit_length)
     path = cg.solve(problem, cg.Galerkin(3), intervals=10_000)

@@ -97,6 +97,7 @@ def test_steps_of_a_reversible_lagrangian_run_back_to_their_start(scene):
     np.testing.assert_allclose(back.x[:, ::-1], there.x, rtol=0, atol=growth * 2.3e-16 * np.max(np.abs(there.x)))
 
 
+@pytest.mark.slow
 def test_angular_momentum_does_not_drift_in_2e4_steps_of_kepler_and_energy_stays_in_its_band():
     problem = cg.InitialProblem(kepler, (0, 400 * np.pi), [0.4, 0.0], velocity=[0.0, 2.0])
     path = cg.solve(problem, cg.Galerkin(4), intervals=20_000)
@@ -108,6 +109,7 @@ def test_angular_momentum_does_not_drift_in_2e4_steps_of_kepler_and_energy_stays
     np.testing.assert_allclose(bands, bands[0], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_linear_momentum_of_a_free_system_stays_within_a_random_walk_of_roundoff():
     def springs(t, x, v):
         return ca.dot(v, v) / 2 - (x[0] - x[1]) ** 2 / 2 - (x[1] - x[2]) ** 4 / 4

@@ -53,6 +53,7 @@ def test_half_an_ellipse_of_given_energy_takes_half_of_keplers_period(eccentrici
 
 
 @pytest.mark.parametrize(("eccentricity", "first", "last"), [(0.2, 0.5, 2.0), (0.9, 1.0, 4.0)])
+@pytest.mark.slow
 def test_an_arc_of_given_energy_takes_the_time_of_keplers_equation(eccentricity, first, last):
     (start, began), (end, ended) = (of_anomaly(eccentricity, anomaly) for anomaly in (first, last))
     problem = cg.BoundaryProblem(kepler, (0, 1.1 * (ended - began)), start.tolist(), end.tolist(), energy=-0.5)

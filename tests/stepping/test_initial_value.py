@@ -56,6 +56,7 @@ def test_double_pendulum_reaches_its_reference_with_its_action():
 
 
 @pytest.mark.parametrize("units", [(4e-8, 6e2), (1e8, 1e-8), (1e-6, 1e6)])
+@pytest.mark.slow
 def test_steps_and_their_jacobians_are_the_same_whatever_the_units_of_the_components(units):
     """Rows of the equations are then of sizes as unlike as the units."""
 
@@ -76,6 +77,7 @@ def test_steps_and_their_jacobians_are_the_same_whatever_the_units_of_the_compon
 
 
 @pytest.mark.parametrize("degree", [3, 5, 7])
+@pytest.mark.slow
 def test_steps_are_solved_by_rules_with_negative_weights(degree):
     """The rule of 19 equal steps by Newton and Cotes: terms cancel, and are rounded by their sizes."""
     points = np.linspace(0, 1, 19)

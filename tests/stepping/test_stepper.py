@@ -112,6 +112,7 @@ def test_units_do_not_matter(scale):
     np.testing.assert_allclose(cg.solve(scaled, cg.Galerkin(5), 30).x / scale, unit.x, rtol=0, atol=SAME)
 
 
+@pytest.mark.slow
 def test_high_degrees_step_to_roundoff():
     problem = cg.InitialProblem(pendulum, (0, 10), [2.0], velocity=[0.3])
     high = cg.solve(problem, cg.Galerkin(40), intervals=4)

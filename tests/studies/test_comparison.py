@@ -247,6 +247,7 @@ def test_a_start_that_cannot_be_stepped_from_is_part_of_the_answer():
 
 
 @pytest.mark.usefixtures("headless")
+@pytest.mark.slow
 def test_steps_that_leave_the_range_of_doubles_are_compared_and_drawn():
     compared = cg.compare(cg.BoundaryProblem(saddle, (0, 1000), [1.0], [1.0]), METHOD, 500)
     assert compared.condition_stepwise == np.inf

@@ -402,7 +402,7 @@ def test_a_process_pool_takes_ends_spans_guesses_and_tolerances(pool):
     identical(cg.sweep(bratu_problem(), variations, tol=1e-6, executor=pool), here)
 
 
-@pytest.mark.parametrize("count", [1, 63, 64, 65, 200, 3300])
+@pytest.mark.parametrize("count", [1, 65, *slow(63, 64, 200, 3300)])
 def test_chunks_hold_everything_once_whatever_the_order_in_which_they_are_solved(count, monkeypatch):
     monkeypatch.setattr(PARALLEL, "_unpickled", lambda _: lambda variation, known: variation["parameters"][0])
     executor = Recorder()
@@ -683,6 +683,7 @@ def test_breakpoints_are_joints_whatever_the_time_span():
 
 
 @pytest.mark.parametrize("how", [{"tol": 1e-8}, {"method": cg.Galerkin(2), "intervals": 4}], ids=str)
+@pytest.mark.slow
 def test_with_a_given_energy_the_times_of_a_variation_choose_its_path(how):
     """A ball is thrown a meter far with the energy 10: flat, or high."""
     throw = cg.BoundaryProblem(

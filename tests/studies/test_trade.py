@@ -257,6 +257,7 @@ def test_control_problems_are_traded_alike():
     assert measured.cheapest(1e-6).method.degree == 4
 
 
+@pytest.mark.slow
 def test_control_problems_are_traded_by_their_cost_and_to_tolerances():
     """Degree 2 has the cost to the fourth order, while the path between the joints is of the third."""
     problem, degree = pendulum_in_three(), cg.Galerkin(2)
@@ -269,6 +270,7 @@ def test_control_problems_are_traded_by_their_cost_and_to_tolerances():
     assert cheap.solve(problem).cost == pytest.approx(cg.solve(problem, tol=1e-8).cost, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_phases_found_to_a_tolerance_are_solved_again_on_their_mesh():
     legs = double_integrator(
         running_cost=lambda t, x, v, u: 1 + u[0] ** 2 / 2, duration_bounds=(0.1, 5.0), waypoints=[(0.5, [0.2])]
@@ -301,6 +303,7 @@ def test_the_reference_has_an_interval_between_any_two_breakpoints():
     assert 1e-8 < row.error < 1e-4
 
 
+@pytest.mark.slow
 def test_a_breakpoint_at_any_time_is_no_error():
     """Nothing happens there, so that each row has it elsewhere."""
     problem = double_integrator(
@@ -314,6 +317,7 @@ def test_a_breakpoint_at_any_time_is_no_error():
     assert next(row for row in measured.rows if "tol" in row.way).error < 1e-5
 
 
+@pytest.mark.slow
 def test_errors_of_paths_that_jump_at_free_times_have_the_order_of_the_method():
     """Joints of one path match those of the other, whichever comes first."""
     problem = double_integrator(
