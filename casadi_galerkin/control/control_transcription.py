@@ -24,7 +24,7 @@ from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.control_graph import ControlGraph
 from casadi_galerkin.control.control_numbering import Chain
-from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_derivatives, refuse_values, undefined
+from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite, undefined
 from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations
@@ -221,7 +221,7 @@ class ControlTranscription:
         way = self._kept_program(solver, bool(start.duals), verbose)
         optimum = optimize(way, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
         if optimum.status == INVALID:
-            refuse_derivatives(self.graph, unknowns, data, mesh)
+            refuse_not_finite(problem, self.graph, unknowns, data, mesh)
         values = chain.unpack(optimum.unknowns, data)
         path = chain.path(values, self._joints(values, mesh))
         if optimum.success:
@@ -296,7 +296,7 @@ class ControlTranscription:
         wild = guess is not None and near is None  # or noisy; the straight line is not
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
-            refuse_values(problem, self.graph, values, calculus.mesh)
+            refuse_not_finite(problem, self.graph, *chain.pack(values), calculus.mesh)
         largest = report.sizes.copy()
         if wild:
             straight = first_values(problem, chain, calculus, None, None)

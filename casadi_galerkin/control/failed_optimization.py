@@ -46,6 +46,7 @@ UNDEFINED_SOMEWHERE = frozenset(
     getattr(ca, f"OP_{name}")
     for name in "DIV INV SQRT LOG LOG1P EXP POW CONSTPOW TAN ASIN ACOS ATANH ACOSH FMOD CALL".split()  # noqa: SIM905
 )
+AVOID = "Give a guess that avoids it, or add a small number under a root, as in sqrt(sumsqr(u) + 1e-4) for a norm"
 UNBOUNDED = "; the cost may have no lower bound"
 COMPARISONS = ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE
 SMOOTH = (
@@ -113,26 +114,35 @@ def kink_hint(problem: ControlProblem) -> str | None:
     return None
 
 
-def refuse_values(
-    problem: ControlProblem, graph: ControlGraph, values: dict[str, np.ndarray], mesh: np.ndarray
+def refuse_not_finite(
+    problem: ControlProblem, graph: ControlGraph, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray
 ) -> None:
-    """Name what is not finite at the guess: a callable along the path, or else an equation or the cost."""
+    """Name what is not finite at the guess: a callable along the path, or else an equation or a first derivative."""
     chain, points = graph.chain, graph.embedding.points
-    known = chain.pack(values)
-    seen = (graph.embedding.matrix @ np.concatenate(known)).full().ravel()
+    seen = (graph.embedding.matrix @ np.concatenate((unknowns, data))).full().ravel()
     at = {name: seen[points.row(name)].T for name in points.rows}
     times, v = (at["begin"] + at["duration"] * at["share"]).ravel(), at["slope"] / (at["duration"] * at["part"])
-    p = [] if problem.parameters is None else [values["parameters"]]
+    p = [] if problem.parameters is None else [chain.unpack(unknowns, data)["parameters"]]
     found = _undefined_at(problem, times, at["x"], v, at["controls"], p)
-    if found is None:
-        wrong = np.flatnonzero(~np.isfinite(graph.report(*known).equations))
-        name, place = located(chain.equation_stages, wrong[0]) if wrong.size else ("terminal_cost", chain.intervals)
-        when, failure = np.interp(place, np.arange(chain.intervals + 1), mesh), None
-    else:
+    if found is not None:
         name, k, _, failure = found
-        when = times[k]
-    what = "is not finite" if failure is None else "calls a casadi Function that fails"
-    raise ValueError(f"{name} {what} at the guess, at t = {when:.6g}. Give a guess that avoids it") from failure
+        what = "is not finite" if failure is None else "calls a casadi Function that fails"
+        raise ValueError(f"{name} {what} at the guess, at t = {times[k]:.6g}. Give a guess that avoids it") from failure
+    equations, matrix = graph.jacobian(unknowns, data)
+    rows = np.array(matrix.sparsity().row())[~np.isfinite(np.array(matrix.nonzeros()))]
+    for what, stages, wrong in (
+        ("{}", chain.equation_stages, np.flatnonzero(~np.isfinite(np.array(equations)))),
+        (
+            "the derivative of the cost by {}",
+            chain.unknown_stages,
+            np.flatnonzero(~np.isfinite(np.array(graph.gradient(unknowns, data)[1]))),
+        ),
+        ("a derivative of {}", chain.equation_stages, rows),
+    ):
+        if wrong.size:
+            name, place = located(stages, int(wrong[0]))
+            when = np.interp(place, np.arange(len(mesh)), mesh)
+            raise ValueError(f"{what.format(name)} is not finite at the guess, at t = {when:.6g}. {AVOID}")
 
 
 def undefined(
@@ -193,21 +203,3 @@ def _summed(*functions: ca.Function) -> ca.Function:
     *along, lagrangian = functions
     values = [f(*symbols) for f in along] + [lagrangian(t, x, v, *p)]
     return ca.Function("summed", symbols, [ca.sum1(ca.vertcat(*values))])
-
-
-def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray) -> None:
-    """Name a first derivative that is not finite at the guess."""
-    chain, gradient = graph.chain, np.array(graph.gradient(unknowns, data)[1]).ravel()
-    matrix = graph.jacobian(unknowns, data)[1]
-    entries = np.isfinite(np.array(matrix.nonzeros()))
-    if not np.all(np.isfinite(gradient)):
-        name, place = located(chain.unknown_stages, int(np.argmax(~np.isfinite(gradient))))
-        what = f"the derivative of the cost by {name}"
-    elif not np.all(entries):
-        name, place = located(chain.equation_stages, matrix.sparsity().row()[int(np.argmax(~entries))])
-        what = f"a derivative of {name}"
-    else:
-        return
-    when = np.interp(place, np.arange(len(mesh)), mesh)
-    hint = "Give a guess that avoids it, or add a small number under a root, as in sqrt(sumsqr(u) + 1e-4) for a norm"
-    raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. {hint}")

@@ -15,7 +15,7 @@ NOT_FINITE = {
         {"path_constraint": (lambda t, x, v, u: ca.log(u[0] - 1), -9, 9)},
         "path_constraint .* at t = 0.0211",
     ),
-    "end": ({"terminal_cost": lambda t, x, v: ca.sqrt(-x[0])}, "terminal_cost .* at t = 1"),
+    "end": ({"terminal_cost": lambda t, x, v: ca.sqrt(-x[0])}, r"derivative of the cost by x\[0\] .* at t = 1"),
     "condition": (
         {"end": [None], "end_conditions": (lambda x0, v0, x1, v1: ca.log(x1 - 2), 0, 0)},
         "end condition 0 .* at t = 1",
