@@ -31,14 +31,14 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.newton import POLISHING, Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity
 
 CORRECTOR_ITERATIONS = 10  # most iterations of Newton's method in one correction
 STEP_GROWTH, STEP_REDUCTION = 1.5, 0.5  # factors on the step after a correction, and after one that failed
-# measured on searches for several paths: without a limit of the angle some took 3 times as long; with more iterations
-# Newton's method wanders from where the load is zero, 4 times as long; nobody knows how long a curve of loads is
-LOAD_COSINE, POLISHING, LOADS = 0.7, 20, 300
+# measured on searches for several paths: without a limit of the angle some took 3 times as long; nobody knows how long
+# a curve of loads is
+LOAD_COSINE, LOADS = 0.7, 300
 FIRST_STEP, FARTHEST = 0.1, 1e3  # arc lengths along a curve of loads, in sizes of the path it begins at
 CURVE_TOLERANCE = 0.02  # last Newton step over the arc step, where the points of a curve are not asked for
 SIMPLE = 1e-6  # |<ψ F_zz, (t, t')>| over the largest second derivative, below which a branch point is not simple

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-LEAST_SECONDS = 1e-3  # that IPOPT is given
+from casadi_galerkin.calculus.roundoff import EPS
 
 _deadline: ContextVar[float] = ContextVar("deadline", default=math.inf)
 
@@ -34,4 +34,4 @@ def limited(options: Mapping[str, Any]) -> dict[str, Any]:
     if math.isinf(seconds_left()):
         return dict(options)
     seconds = min(seconds_left(), options.get("max_wall_time", math.inf))
-    return {**options, "max_wall_time": max(seconds, LEAST_SECONDS)}
+    return {**options, "max_wall_time": max(seconds, EPS)}

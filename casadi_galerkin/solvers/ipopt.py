@@ -14,13 +14,12 @@ from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import limited, seconds_left
-from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.newton import POLISHING, Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.stationarity import Stationarity
 
 DEFAULTS = {"sb": "yes", "tol": 1e-10, "max_iter": 500}
 DIVERGED = "Diverging Iterates"  # at numbers so large that nothing is left to polish
-POLISHING = 20  # iterations that Newton's method gets from where IPOPT stopped
 
 
 def critical_point(

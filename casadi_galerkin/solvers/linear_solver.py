@@ -17,12 +17,11 @@ from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
 from casadi_galerkin.problems.linear_equations import solve_scaled
 
-SHIFTED = 1e-8  # shift of the diagonal where a pivot is zero, relative to the sum of its row: half of all digits
 DEFECT_TOLERANCE = 1e-3  # accepted defect of a solution, over its right-hand side
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
 # factor on the regularization of a condition, see `_regularized`; 1e-6 and 1e-8 left larger errors
 REGULARIZATION = 1e-7
-HALF_DIGITS = EPS**0.5
+HALF_DIGITS = EPS**0.5  # least size of a component over that at which it would matter, and shift of a zero pivot
 
 
 class LinearSolver:
@@ -272,7 +271,7 @@ def negative_pivots(matrix: ca.DM, factors: ca.Linsol) -> int:
     """
     factors.nfact(matrix)
     if factors.rank(matrix) < matrix.size1():
-        factors.nfact(matrix + SHIFTED * ca.diag(ca.sum2(ca.fabs(matrix))))
+        factors.nfact(matrix + HALF_DIGITS * ca.diag(ca.sum2(ca.fabs(matrix))))
     return factors.neig(matrix)
 
 

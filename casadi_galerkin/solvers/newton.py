@@ -31,7 +31,8 @@ NEARLY_CONVERGED = 1e-6  # relative step from which the next iterate can be at r
 QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it needs no line search
 SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
 STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
-SMALLEST_DAMPING = 1e-7
+SMALLEST_DAMPING = EPS**0.5
+POLISHING = 20  # most iterations from where another search stopped; with more it wanders, 4 times as long
 FREE_STEPS = 50  # most of them; 200 led to 180 of the same problems, but took twice as long
 ROUNDED = 4 * EPS  # size of a component, over that at which it would matter, up to which it is zero
 DRIFT = 10.0  # bound of the second variation's change, over what the last two steps show; along families at most 0.7
@@ -188,10 +189,9 @@ def _final_iterate(at: Iterate, last: float) -> np.ndarray | None:
     ratio of the last two steps, which may be of different components: the next step is expected to be no shorter than
     the square of this one.
     """
-    if not at.norm < NEARLY_CONVERGED:
-        return None
     shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
-    return at.unknowns + at.step if shrinks or at.norm >= last / 2 else None
+    ends = at.norm < NEARLY_CONVERGED and (shrinks or at.norm >= last / 2)
+    return at.unknowns + at.step if ends else None
 
 
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
