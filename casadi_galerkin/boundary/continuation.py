@@ -50,7 +50,6 @@ FOLD_TOLERANCE = 1e-8
 LEAST_OF_SIZE, LEAST_OF_ALL = 1e-5, 1e-7
 ROUNDED = 1e-12  # size of an unknown over its expected change, below which it counts as zero
 ITERATIONS = 20  # most iterations for a fold, whose tolerance rounding may prevent, or for a path, which may be zero
-HALVINGS = 6  # most halvings of a step until Newton's method leads to the branch point on it
 SAME = 1e-5  # distance over the sizes of paths below which branch points are one: each is known up to rounding
 LOST = 0.01  # truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
 DENSE = 1000  # unknowns from which no determinant is computed, 0.1 s each: without an index no branch point is seen
@@ -240,27 +239,15 @@ class BranchFollower(Curve[PathPoint]):
                 "rate that is not finite. Begin at other parameters",
                 self.transcription.trajectory(start, 0.0),
             )
-        self.expect(z, follow)
+        size, change = np.abs(z[:-1]), np.abs(follow)
+        self._lowest = self._highest = z[:-1]
+        self._expected = np.where(size > ROUNDED * change, size, change)  # the rate may be zero, or large near a fold
         point = self.point(z, np.append(follow, 1.0), start)
         assert point.trajectory is not None
         if unresolved := point.trajectory._unresolved(LOST):
             words = f"the first path of the branch is {''.join(unresolved).strip()}"
             raise ConvergenceError(words, point.trajectory)
         return point
-
-    def expect(self, z: np.ndarray, follow: np.ndarray) -> None:
-        """Expect changes of the path up to the target from those a little way ahead, but at most its sizes.
-
-        The first rate alone may be zero, or far too large near a fold.
-        """
-        size, change = np.abs(z[:-1]), np.abs(follow)
-        self._lowest = self._highest = z[:-1]
-        self._expected = np.where(size > ROUNDED * change, size, change)
-        self.weigh(z)
-        found = self.corrected(np.append(z[:-1], FIRST_STEP), np.append(0 * follow, 1.0), np.inf)
-        if found is not None:
-            ahead = np.abs(found[:-1] - z[:-1]) / FIRST_STEP
-            self._expected = np.where(size > ROUNDED * ahead, np.minimum(ahead, size), ahead)
 
     def weigh(self, z: np.ndarray) -> None:
         """Set the weights of the path from how far its components have changed on the branch up to this point.
@@ -322,18 +309,10 @@ class BranchFollower(Curve[PathPoint]):
 
     def crossing(self, one: PathPoint, other: PathPoint) -> Crossing | None:
         """The branch point between two points; None if there is none, as between points of two branches."""
-        ends, parities = [one.z, other.z], one.parity
-        for _ in range(HALVINGS):
-            chord = ends[1] - ends[0]
-            direction, middle = self.unit(chord), ends[0] + chord / 2
-            found = self.branch_point(middle, direction)
-            if found is not None and self.length(found.z - middle) <= self.length(chord):
-                return found
-            z = self.corrected(middle, direction, self.longest_step)
-            if z is None:
-                return None
-            ends[int(self.parity(z, self.tangent(z, direction))[1] * parities < 0)] = z
-        return None
+        chord = other.z - one.z
+        found = self.branch_point(one.z + chord / 2, self.unit(chord))
+        near = found is not None and self.length(found.z - one.z - chord / 2) <= self.length(chord)
+        return found if near else None
 
     def fold(self, before: PathPoint, after: PathPoint, count: int) -> Fold:
         """Find the zero of ṡ between two points, by the secant and bisection on the chord between them."""
