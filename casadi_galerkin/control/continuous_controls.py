@@ -14,15 +14,13 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import or_one
+from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 # step of a control from one point to the next, over its range before, beyond which another control is looked for
 LONG_STEP = 0.1
-SAME = 1e-13  # difference of two effects, over the sizes of their terms, that is rounding
-NEWTON_STEPS = 12  # quadratic convergence takes half of them
 
 
 @lru_cache(8)
@@ -43,16 +41,17 @@ def _same_effect(
     effect: ca.Function, place: list[np.ndarray], wanted: np.ndarray, scale: np.ndarray, near: np.ndarray
 ) -> np.ndarray | None:
     """The control near another one that does what is wanted, by Newton's method with shortest steps; None if lost."""
-    u = near
-    for _ in range(NEWTON_STEPS):
+    u, longest = near, np.inf
+    while True:
         does, slope = (np.array(a) for a in effect(u, *place))
         missing, sizes = wanted - does.ravel(), np.abs(wanted) + np.abs(slope) @ np.abs(u)
         if not np.isfinite(missing + sizes).all():
             return None
-        if np.all(np.abs(missing) <= SAME * sizes):
-            return u
-        u = u + np.linalg.lstsq(slope / scale[:, None], missing / scale, rcond=None)[0]
-    return None
+        step = np.linalg.lstsq(slope / scale[:, None], missing / scale, rcond=None)[0]
+        size = float(np.max(np.abs(step)))
+        if not 0 < size < longest / 2:  # steps of Newton's method fall faster until they are rounding
+            return u if np.all(np.abs(missing) <= np.sqrt(EPS) * sizes) else None
+        u, longest = u + step, size
 
 
 def continuous_controls(

@@ -7,7 +7,7 @@ At the optimum the equations hold, the slopes vanish, and every multiplier or it
     (∇²f̄ + Σ) δ + Aᵀδλ = -∇f̄,        A δ - D δλ = -G,        Σ = |μ| / d,        D = d / |λ|,
 
 where ∇f̄ are the slopes of the Lagrangian without the multipliers μ of bounds.  For inequalities alone, D is not zero,
-and the right-hand side is ±d, with the sign of the multiplier, in place of -G.  The error is `STEPS` such steps.  Where
+and the right-hand side is ±d, with the sign of the multiplier, in place of -G.  The error is `STEPS_LEFT` such steps.  Where
 the path is not determined at all, all slopes may vanish, and the effect of rounding of the equations shows this.
 
 The active constraints are the equations, and the bounds and inequalities that are met with equality; let A now be their
@@ -36,7 +36,9 @@ from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.solution.control_trajectory import RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
-STEPS = 3.0  # errors over Newton steps: where the cost is like a fourth power, a step leaves two thirds of the distance
+STEPS_LEFT = (
+    3.0  # errors over Newton steps: where the cost is like a fourth power, a step leaves two thirds of the distance
+)
 FLAT = 1e-6  # relative change of the cost that counts as none, as along a singular arc
 PENALTY = np.sqrt(EPS)  # δ
 
@@ -71,10 +73,10 @@ class SecondOrder:
         graph, at = self._graph(), self.optimum
         chain, kinds = graph.chain, graph.chain.unknown_kinds
         steps = _newton_step(graph, at)
-        change = STEPS * abs(float(ca.dot(graph.gradient(at.unknowns, at.data)[1], steps[0])))
+        change = STEPS_LEFT * abs(float(ca.dot(graph.gradient(at.unknowns, at.data)[1], steps[0])))
         sizes = largest_of(np.abs(at.unknowns), kinds)
         first, rounding = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps)
-        errors = np.fmax(STEPS * first, rounding)
+        errors = np.fmax(STEPS_LEFT * first, rounding)
         durations = kinds[chain.fields["durations"][-1]] if "durations" in chain.free else kinds[:0]
         of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))
         return RemainingError(errors[: chain.dimension], of_durations, change if np.isfinite(change) else np.inf)
