@@ -101,7 +101,7 @@ class LinearSolver:
         return self._kept[key]
 
     def newton_step(self, method: str) -> ca.Function:
-        """(matrix, gradient, u) -> (step, softest_direction, sizes, norm, length, step_length, defect).
+        """(matrix, gradient, u) -> (step, softest_direction, sizes, norm, path_length, step_length, defect).
 
         The Newton step; the solution for a generic right-hand side, which is near the softest direction; the sizes that
         the unknowns are measured by; the largest entry of the step relative to these; and the lengths of path and step,
@@ -122,7 +122,7 @@ class LinearSolver:
             if self.numbering.stretched:
                 step_length = ca.fmax(step_length, length * ca.fabs(step[-1]))
             outputs = {"step": step, "softest_direction": softest, "sizes": sizes, "norm": ca.norm_inf(step / sizes)}
-            outputs |= {"length": length, "step_length": step_length}
+            outputs |= {"path_length": length, "step_length": step_length}
             outputs["defect"] = self._defect(matrix, step, gradient)
             self._kept[key] = self._function("newton_step", inputs, outputs)
         return self._kept[key]

@@ -215,7 +215,7 @@ class Linearization:
         arrays = self._arrays
         matrix, softest_direction = arrays["matrix"].copy(), arrays["softest_direction"].copy()
         step, sizes = arrays["step"].copy(), arrays["sizes"].copy()
-        norm, length, step_length = (arrays[name].item() for name in ("norm", "length", "step_length"))
+        norm, length, step_length = (arrays[name].item() for name in ("norm", "path_length", "step_length"))
         return Iterate(unknowns, step, sizes, norm, length, step_length, matrix, softest_direction)
 
     def return_to(self, at: Iterate) -> None:
