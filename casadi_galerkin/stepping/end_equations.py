@@ -38,12 +38,12 @@ def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Func
     """
     d, times = problem.dimension, problem.t_span
     constraint = problem.numeric.constraint
-    rows, imposed = rows_of_ends(problem, plane)
+    rows, kept_unknown = rows_of_ends(problem, plane)
     x, p = ([ca.SX.sym(f"{name}{k}", d) for k in (0, 1)] for name in "xp")
     own = [ca.SX.sym("own", rows.size1_in(2))]
     given = [
         [None if i in components else value for i, value in enumerate(values)]
-        for components, values in zip(imposed, (problem.start, problem.end), strict=True)
+        for components, values in zip(kept_unknown, (problem.start, problem.end), strict=True)
     ]
     first, last, further = ca.vertsplit(rows(*x, *own), [0, d, 2 * d, rows.size1_out(0)])
     momenta = [first, -last]

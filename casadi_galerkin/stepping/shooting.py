@@ -262,7 +262,7 @@ def _refuse_conjugate(shot: Shot, iteration: int) -> None:
     """Raise a ConjugatePointError for a singular derivative, unless only rounding may have made it so."""
     if np.max(np.abs(shot.growth)) < 1 / MISS:
         reason = "the end does not depend on the start: the ends are conjugate points, or a family of paths joins them"
-        reason += ", or the guess rests at its start: give one that moves" if shot.stepper.stretched else ""
+        reason += ", or the guess rests at its start: give one that moves" if shot.stepper.free_duration else ""
         raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
 
 
@@ -277,7 +277,7 @@ def _met(shot: Shot, iteration: int) -> Shot:
     missed, moved = _missed(shot)
     if missed <= MISS and shot.residual <= ACCEPTED:
         values = shot.path.values
-        if shot.stepper.stretched and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
+        if shot.stepper.free_duration and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
             raise _failure("the path has shrunk to a point, and its duration to zero", shot, iteration)
         return shot
     reason = f"the end is missed by {missed:.1e} of the path's size, "
@@ -292,7 +292,7 @@ def _met(shot: Shot, iteration: int) -> Shot:
 def _failure(reason: str, shot: Shot, iteration: int, rounded: bool = True) -> ConvergenceError:
     """The error of a last shot, and what to do: where the start is `rounded` too coarsely, shooting cannot meet it."""
     growth = float(np.max(np.abs(shot.growth)))
-    energy = "; there may be no path of this energy" if shot.stepper.stretched else ""
+    energy = "; there may be no path of this energy" if shot.stepper.free_duration else ""
     remedy = "Give a guess with a better start, or solve it globally, with `solve`"
     if rounded:
         remedy = (

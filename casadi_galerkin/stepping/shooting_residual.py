@@ -107,7 +107,7 @@ class Shooting:
     def shoot(self, start: np.ndarray, velocity: np.ndarray) -> Shot:
         """The path from a start; `velocity` predicts the first step.  Raises if one of its steps fails."""
         d = self.stepper.dimension
-        if self.stepper.stretched and not start[d - 1] > 0:
+        if self.stepper.free_duration and not start[d - 1] > 0:
             raise ConvergenceError(f"the duration would be {start[d - 1]:.2g} of the one begun with")
         roll = self.stepper.roll(start[:d], start[d : 2 * d], velocity, self.mesh)
         verified(self.stepper.unstretched(roll), self.stepper)
@@ -136,7 +136,7 @@ class Shooting:
         momentum of the stretch where the energy is near zero.
         """
         states = np.max(np.concatenate((np.abs(roll.x), roll.p_terms)), axis=1)
-        if self.stepper.stretched:
+        if self.stepper.free_duration:
             states[-1] = max(states[-1], np.sum(np.abs(steps[:, -1, :-1]), axis=0) @ states[:-1])
         sizes = np.concatenate((states, np.zeros(len(own)), states))
         asked = by_ends @ sizes

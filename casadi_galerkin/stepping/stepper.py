@@ -65,18 +65,18 @@ class Roll:
 class Stepper:
     """The step of a problem, built once and rolled as often as wanted.
 
-    Where it is `stretched`, the stretch of all steps is the last component of x.
+    Where it has a `free_duration`, the stretch of all steps is the last component of x.
     """
 
-    def __init__(self, problem: Problem, method: Galerkin, stretched: bool = False) -> None:
+    def __init__(self, problem: Problem, method: Galerkin, free_duration: bool = False) -> None:
         began = time.perf_counter()
         numeric = problem.numeric
         lagrangian, force, constraint = numeric.lagrangian, numeric.force, numeric.constraint
-        self.method, self.stretched = method, stretched
+        self.method, self.free_duration = method, free_duration
         check_points(constraint, method)
-        self.dimension, self.basis = lagrangian.size1_in(1) + stretched, SlopeBasis(method.degree)
+        self.dimension, self.basis = lagrangian.size1_in(1) + free_duration, SlopeBasis(method.degree)
         self.interval = interval(lagrangian, force, constraint, method)
-        if stretched:
+        if free_duration:
             self.interval = self.interval.stretched()
         self._shape = self.interval.system.size_in(0)
         self._newton = newton_iteration(self.interval.system, lagrangian.size1_in(1))
@@ -148,7 +148,7 @@ class Stepper:
 
     def unstretched(self, roll: Roll) -> Roll:
         """The steps at their true times: the stretch is applied to the mesh, and is no component any more."""
-        if not self.stretched:
+        if not self.free_duration:
             return roll
         d = self.dimension - 1
         mesh = roll.mesh[0] + roll.x[d, 0] * (roll.mesh - roll.mesh[0])

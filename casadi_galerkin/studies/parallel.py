@@ -158,11 +158,6 @@ def picklable_problem(*given: object) -> bytes:
     return picklable("the problem", given, remedy)
 
 
-def in_words(error: BaseException) -> str:
-    """The kind of an error and its words."""
-    return f"{type(error).__name__}: {error}"
-
-
 @lru_cache(1)
 def _unpickled(pickled: bytes) -> Solve:
     """A worker's own solver, kept from chunk to chunk."""
@@ -188,7 +183,7 @@ def by_executor(executor: Executor, pickled: bytes, chunks: list[Chunk]) -> Iter
         except Exception as error:
             process = None
             if len(variations) == 1:
-                return [CutShort(f"the worker that solved this variation failed, {in_words(error)}")]
+                return [CutShort(f"the worker that solved this variation failed, {type(error).__name__}: {error}")]
         half = len(variations) // 2
         first = alone(variations[:half], known)
         return [*first, *alone(variations[half:], [*known, *_known(first)])]

@@ -32,7 +32,6 @@ from casadi_galerkin.studies.parallel import (
     answered,
     by_executor,
     here,
-    in_words,
     picklable,
     picklable_problem,
     solver_of,
@@ -184,8 +183,8 @@ class Sweep(Table):
         if not failures:
             return text
         first, error = next(iter(failures.items()))
-        reason = str(error) if isinstance(error, ConvergenceError) else in_words(error)
-        return f"{text}\n  variation {first} is the first without an answer: {reason}"
+        kind = "" if isinstance(error, ConvergenceError) else f"{type(error).__name__}: "
+        return f"{text}\n  variation {first} is the first without an answer: {kind}{error}"
 
 
 def sweep(

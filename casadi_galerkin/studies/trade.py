@@ -107,7 +107,7 @@ def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
     """The way on the fixed mesh that a tolerance has found, mapped to the guessed durations where these are free."""
     assert cell.path is not None
     row, joints = cell.row, map_times(cell.path.t, section_times(cell.path.problem), section_times(problem))
-    return Row(row.method, row.intervals, row.solver, row.tol, tuple(joints.tolist()), problem.breakpoints)
+    return Row(row.method, row.intervals, row.solver, row.tol, tuple(joints.tolist()))
 
 
 def _cells(problem: AnyProblem, ways: list[Row], guess: Guess | None, measure: Measure | None) -> list[_Cell]:

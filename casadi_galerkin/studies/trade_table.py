@@ -18,7 +18,7 @@ from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_kind, map_times, section_times
+from casadi_galerkin.problems.problem import check_kind, map_times
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
@@ -50,7 +50,6 @@ class Row:
     solver : as `solve` takes it; None where a path is found step by step
     tol : the tolerance; None of a fixed discretization
     mesh : (N + 1,), joints that were found for `tol`, taken as a fixed mesh; None of all other rows
-    breakpoints : those of the traded problem, which are joints of `mesh`; none without it
     shooting : whether the path is found by `shoot`
     unknowns : node values and controls solved for
     first_seconds : of a first call with a problem, which builds everything but the patterns that another problem with
@@ -81,7 +80,6 @@ class Row:
     solver: Solver | None = None
     tol: float | None = None
     mesh: tuple[float, ...] | None = None
-    breakpoints: tuple[float, ...] = ()
     shooting: bool = False
     unknowns: int = 0
     first_seconds: float = np.nan
@@ -97,8 +95,7 @@ class Row:
     def solve(self, problem: AnyProblem, guess: Guess | None = None) -> Trajectory:
         """Solve a problem in this way, the one that was traded or another; arguments and errors as for `solve`.
 
-        By shooting, `guess` is a Trajectory.  A mesh that was found for a tolerance is stretched to the time span
-        between its breakpoints.
+        By shooting, `guess` is a Trajectory.  A mesh that was found for a tolerance is stretched to the time span.
         """
         if self.shooting:
             given = cast(BoundaryProblem, problem), cast(Galerkin, self.method), self.intervals  # which `shoot` checks
@@ -107,8 +104,7 @@ class Row:
             method, intervals = (None, None) if self.adaptive else (self.method, self.intervals)
             return solve(problem, method, intervals, tol=self.tol, guess=guess, solver=self.solver)
         check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
-        own = [self.mesh[0], *self.breakpoints, self.mesh[-1]]
-        mesh = map_times(np.array(self.mesh), own, section_times(problem))
+        mesh = map_times(np.array(self.mesh), [self.mesh[0], self.mesh[-1]], problem.t_span)
         return solve(problem, self.method, mesh=mesh, guess=guess, solver=self.solver)
 
     @property

@@ -112,18 +112,6 @@ def test_a_mesh_that_a_tolerance_has_found_is_solved_on_again(every_way):
     np.testing.assert_allclose(longer.t, 1.1 * found.t, rtol=1e-14)
 
 
-def test_breakpoints_stay_joints_of_a_mesh_that_is_stretched():
-    """The other problem has its own times."""
-    at = {"start": [0.0], "end": [1.0]}
-    near, far = (
-        cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, end), **at, breakpoints=[knot])
-        for end, knot in ((2.0, 1.1), (2.5, 0.4))
-    )
-    row = cg.trade(near, [], [], tolerances=[1e-6]).rows[1]
-    for problem, knot in ((near.varied({}, (0.0, 2.5)), 1.1), (far, 0.4)):
-        assert knot in row.solve(problem).t
-
-
 def test_no_row_solves_what_is_no_problem(every_way):
     for row in every_way[2].rows:
         with pytest.raises(TypeError, match=r"problem must be a BoundaryProblem.*, got int"):
