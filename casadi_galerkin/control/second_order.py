@@ -7,8 +7,8 @@ At the optimum the equations hold, the slopes vanish, and every multiplier or it
     (∇²f̄ + Σ) δ + Aᵀδλ = -∇f̄,        A δ - D δλ = -G,        Σ = |μ| / d,        D = d / |λ|,
 
 where ∇f̄ are the slopes of the Lagrangian without the multipliers μ of bounds.  For inequalities alone, D is not zero,
-and the right-hand side is ±d, with the sign of the multiplier, in place of -G.  The error is `STEPS_LEFT` such steps.  Where
-the path is not determined at all, all slopes may vanish, and the effect of rounding of the equations shows this.
+and the right-hand side is ±d, with the sign of the multiplier, in place of -G.  The error is `STEPS_LEFT` such steps.
+Where the path is not determined at all, all slopes may vanish, and the effect of rounding of the equations shows this.
 
 The active constraints are the equations, and the bounds and inequalities that are met with equality; let A now be their
 gradients.  By Sylvester's law, for small δ, ∇²f̄ + AᵀA/δ has as many negative eigenvalues as ∇²f̄ has on the directions
