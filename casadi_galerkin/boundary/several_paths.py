@@ -1,12 +1,11 @@
 """Search for several stationary paths of one problem, without a guess.
 
-Curves of loaded paths are followed from the paths found so far (`solvers.curve`).  In between, Newton's method is
-started from random smooth guesses.  Guesses alone, even with deflation of the known paths, were measured to find 5 of
-13 geodesics on a torus in 100 solves; with the curves all are found in 4 to 25.  Until a path is found, curves begin at
-a guess: at first a load makes it an equilibrium, and the load is then removed.  Where Newton's method from the straight
-line failed, 20 of 23 random problems of up to three components were solved in this way, and 5 by Newton's method from
-as many random guesses.  Near a stationary path, the curve is left, and Newton's method of the package finds and
-verifies the path.
+Curves of loaded paths are followed from the paths found so far (`solvers.curve`).  Newton's method from random guesses,
+even with deflation of the known paths, was measured to find 5 of 13 geodesics on a torus in 100 solves; with the curves
+all are found in 4 to 25.  Until a path is found, curves begin at random smooth guesses: at first a load makes one an
+equilibrium, and the load is then removed.  Where Newton's method from the straight line failed, 20 of 23 random
+problems of up to three components were solved in this way, and 5 by Newton's method from as many random guesses.  Near
+a stationary path, the curve is left, and Newton's method of the package finds and verifies the path.
 
 Under a constraint a growing load holds every node of the path where it pulls to, on a closed surface for ever, and the
 curves do not come back.  There all curves begin at guesses around the known paths, moved onto the constraint.
@@ -51,9 +50,8 @@ SAME = 1e-6  # largest distance of node values, in sizes of the component, at wh
 RESOLVED = 0.05  # largest estimated relative error of a path; that of zigzags is about one
 # a second variation below SOFT and below ERRORS times the estimated error counts as zero; regular ones are above 1e-2
 SOFT, ERRORS = 1e-3, 10.0
-SMALLEST, LARGEST = -2.0, 5.0  # powers of two between which the amplitude of a random guess lies
-# the amplitudes until a path is found, in turn: small ones lead to paths of less action and a smaller index
-GROWING = 2 ** np.arange(SMALLEST, LARGEST + 1)
+# amplitudes of guesses until a path is found, in turn: small ones lead to paths of less action and a smaller index
+GROWING = 2.0 ** np.arange(-2, 6)
 PROJECTIONS = 30  # most iterations to move a guess onto the constraint
 AROUND = 2.0, 1.0, 0.5  # amplitudes there around a known path: large ones lead away from it, small ones to neighbors
 FINER = "a higher degree or more intervals may"
@@ -155,10 +153,8 @@ class Search:
             base = self.values(self.found[self.solves % len(self.found)][1])
             for amplitude in AROUND:
                 yield from self.along_residual_load(amplitude, base)
-        elif self.solves % 3:
-            yield from self.along_a_load()
         else:
-            yield self.from_a_guess()
+            yield from self.along_a_load()
 
     def smooth(self) -> np.ndarray:
         """Random smooth function at the nodes, of the size of each component; (d, N m + 1)."""
@@ -186,12 +182,6 @@ class Search:
         fixed = ~np.isnan(problem.given_positions.T)
         values[:, [0, -1]] = np.where(fixed, given[:, [0, -1]], values[:, [0, -1]])
         return np.where(np.isfinite(values), values, given)
-
-    def from_a_guess(self) -> Solution:
-        """Newton's method from a random guess."""
-        guess = self.guess(2 ** self.random.uniform(SMALLEST, LARGEST))
-        solution = damped_newton(self.stationarity, guess, self.data)
-        return replace(solution, report="Newton, from a random guess")
 
     def along_residual_load(self, amplitude: float, base: np.ndarray | float = 0.0) -> Iterator[Solution]:
         """All paths on the curve from a random guess, which a load makes an equilibrium, as the load is removed."""
