@@ -163,7 +163,9 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
             return self.scaled(halved(level.t), level)
         idle = len(self.stated.breakpoints) > len(self.breakpoints)
         joints = switch_times(detail.better) if idle else ()
-        return self.scaled(detail.mesh(self.path_tol(detail), joints), detail.better)
+        # the cost may be of first order in the error of the path, as a duration is
+        tol = max(self.tol, detail.change * self.tol / detail.errors[0]) if self.of_cost else self.tol
+        return self.scaled(detail.mesh(tol, joints), detail.better)
 
     def check_meshes_help(self, detail: TwoComparisons) -> None:
         """Stop where no mesh reduces the error: that of a step, or that which the solver leaves on two meshes."""
@@ -192,12 +194,6 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         """Lengths of intervals that can still be halved, and divided for a comparison."""
         rounded = NEAREST * np.max(np.abs(mesh)) / CLOSE
         return np.full(len(mesh) - 1, max(2 * SHORTEST_STEP * np.ptp(mesh), rounded))
-
-    def path_tol(self, detail: TwoComparisons) -> float:
-        """Error of the path to aim at: larger where only the cost counts, whose error is of the order of its square."""
-        if not self.of_cost:
-            return self.tol
-        return max(self.tol, detail.change * float(np.sqrt(self.tol / detail.errors[0])))
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
         """Report the error reached; where the cost alone is within `tol`, as with a singular arc, report that."""
