@@ -94,7 +94,7 @@ class TwoComparisons:
         """
         path, between = self.path, self.path.between_points
         rounding = 0.0 if path.problem.autonomous else EPS * np.max(np.abs(path.t)) / np.ptp(path.t)
-        least = float(max(np.max(between.position_excess), self.of_cost(np.sum(between.jump_effects)), rounding))
+        least = float(max(np.max(between.unseen_excess), self.of_cost(np.sum(between.jump_effects)), rounding))
         of_cost = self.of_cost(path.unseen_change)
         of_path = max(of_cost, path.solver_error)
         return max(self.cost_error, least, self.unseen_step**2) + of_cost, max(
@@ -137,7 +137,7 @@ class TwoComparisons:
         errors, smooth = beyond_degree(self.better)
         errors *= self.change / max(np.max(errors), TINY)
         parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
-        parts = np.maximum(parts, parts_wanted(between.position_excess, KINK_ORDER, tol))
+        parts = np.maximum(parts, parts_wanted(between.unseen_excess, KINK_ORDER, tol))
         parts = np.maximum(parts, parts_wanted(self.of_cost(1.0) * between.jump_effects, 1, tol))
         cumulated = np.append(0.0, np.cumsum(np.clip(parts, LEAST_PARTS, MOST_PARTS)))
         shares = np.diff(np.interp([mesh[0], *fixed, mesh[-1]], mesh, cumulated))

@@ -17,7 +17,7 @@ from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.functional.interval import SlopeBasis
 from casadi_galerkin.functional.mapping import at_places
-from casadi_galerkin.problems.bounds import bound_excess
+from casadi_galerkin.problems.bounds import AT_BOUND, bound_excess
 from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import CONTROLS, VELOCITIES, rows_that_depend
@@ -103,16 +103,23 @@ class BetweenPoints:
         return np.max(self._relative_excess, axis=0)
 
     @property
-    def position_excess(self) -> np.ndarray:
-        """The same without path constraints that depend on velocities or controls, which may jump; (N,)."""
-        constraint = self.problem.path_constraint[0]
-        fixed = [
-            ~rows_that_depend(constraint, k, np.ones(constraint.numel_in(k), dtype=bool))
-            for k in (VELOCITIES, CONTROLS)
+    def unseen_excess(self) -> np.ndarray:
+        """The same where comparisons with other paths may not show it; (N,).
+
+        It is that of positions, and of path constraints on positions alone or that no quadrature point near by meets.
+        Where others are met, velocities and controls may jump, and exceed their bounds beside the jump by far more than
+        the path is off.
+        """
+        constraint, low, high = self.problem.path_constraint
+        moving = [
+            rows_that_depend(constraint, k, np.ones(constraint.numel_in(k), dtype=bool)) for k in (VELOCITIES, CONTROLS)
         ]
-        return np.max(
-            self._relative_excess[np.append(np.all(fixed, axis=0), np.ones(len(self.path.x), dtype=bool))], axis=0
-        )
+        values, places = self.path_constraints(self.path.method.element.points), np.arange(len(self.path.t) - 1)
+        distances = [np.min(np.abs(values - np.reshape(side, (-1, 1, 1))), axis=2) for side in (low, high)]
+        met = np.pad(np.min(distances, axis=0) <= AT_BOUND * self.constraint_changes, ((0, 0), (1, 1)))
+        near = met[:, places] | met[:, places + 1] | met[:, places + 2]
+        seen = np.any(moving, axis=0)[:, None] & near
+        return np.max(np.where(np.pad(seen, ((0, len(self.path.x)), (0, 0))), 0.0, self._relative_excess), axis=0)
 
     @cached_property
     def _relative_excess(self) -> np.ndarray:
