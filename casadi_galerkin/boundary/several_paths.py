@@ -20,7 +20,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
 from itertools import cycle
 
 import casadi as ca
@@ -39,7 +38,7 @@ from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.curve import LoadedCurve, residual_load_curve
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
 
 Symmetry = Callable[[np.ndarray], ArrayLike]
