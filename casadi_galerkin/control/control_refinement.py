@@ -7,7 +7,7 @@ is it known whether the optimum is the global one.
 
 Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
 in place of the coarser path.  Where one of the two others is not found, there is no error estimate, and the next mesh
-has every interval halved; so it has where four meshes in a row did not reduce the error.
+has every interval halved.
 """
 
 from __future__ import annotations
@@ -43,9 +43,6 @@ from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
-ALTERNATING = (
-    4  # levels in a row without a smaller error, as meshes may alternate, after which every interval is halved
-)
 LEFT_OPEN = (
     "The cost hardly depends on the path: give a cost_tol in place of tol, add a small cost of the control, or leave "
     "out a waypoint at a free time that asks for nothing"
@@ -152,15 +149,14 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         return Estimate(cost if self.of_cost else error, True, f"degree {detail.better.method.degree}", detail)
 
     def better_mesh(self, level: ControlTrajectory, estimate: Estimate[TwoComparisons | None]) -> np.ndarray:
-        """The mesh that the comparisons ask for or, where there are none or their meshes alternate, one twice as fine.
+        """The mesh that the comparisons ask for or, where there are none, one twice as fine.
 
         It is within the phases of the problem.
         """
         detail = estimate.detail
-        if detail is not None:
-            self.check_meshes_help(detail)
-        if detail is None or (self.fruitless > 0 and self.fruitless % ALTERNATING == 0):
+        if detail is None:
             return self.scaled(halved(level.t), level)
+        self.check_meshes_help(detail)
         idle = len(self.stated.breakpoints) > len(self.breakpoints)
         joints = switch_times(detail.better) if idle else ()
         # the cost may be of first order in the error of the path, as a duration is

@@ -25,7 +25,6 @@ from casadi_galerkin.solution.progress import progress
 CROWDED = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
 # distance over the duration within which a breakpoint may be the cause of an error that stays
 BREAKPOINT_DISTANCE = 1e-2
-FRUITFUL = 0.9  # ratio of an error to the smallest before below which its level has come nearer
 HINT = "Try a looser tolerance, a guess nearer to the path, or higher limits"
 NOT_SMOOTH = (
     "Either L is not smooth there: name that time in the breakpoints of the problem, or smooth a step in x, as by "
@@ -66,13 +65,11 @@ class Refinement(ABC, Generic[Level, Detail]):
     roundoff_level : an error below it that does not fall to half is taken to be at the roundoff floor
     persistence : largest number of levels in a row that come no nearer
     best : level of the smallest trusted error so far, and that error; where none is trusted yet, the last level
-    fruitless : number of levels in a row that came no nearer
     """
 
     roundoff_level: float
     persistence = math.inf
     best: tuple[Level, float]
-    fruitless: int
     reported = 0  # iterations that have been printed
 
     def __init__(
@@ -134,8 +131,8 @@ class Refinement(ABC, Generic[Level, Detail]):
         LimitReached
             with the best path attached
         """
-        smallest, number = np.inf, 0
-        self.best, self.fruitless = (level, np.inf), 0
+        smallest, number, fruitless = np.inf, 0, 0
+        self.best = level, np.inf
         with progress("refinement", unit="level") as advance:
             while True:
                 estimate = self.estimate(level)
@@ -144,15 +141,15 @@ class Refinement(ABC, Generic[Level, Detail]):
                 if error <= self.tol:
                     return level, error
                 at_floor, nearer = smallest / 2 < error < self.roundoff_level, error < smallest
-                self.fruitless = 0 if error < FRUITFUL * smallest else self.fruitless + 1
+                fruitless = 0 if nearer else fruitless + 1
                 if nearer or smallest == np.inf:
                     self.best = level, estimate.error
                 smallest = min(smallest, error)
                 if at_floor:
                     raise self.stopped(f"{self.tol:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
                 self.check_time()
-                if self.fruitless >= self.persistence:
-                    raise self.stopped(f"{self.fruitless} levels in a row came no nearer", *self.best, NO_NEARER)
+                if fruitless >= self.persistence:
+                    raise self.stopped(f"{fruitless} levels in a row came no nearer", *self.best, NO_NEARER)
                 if number + 1 >= self.limits.levels:
                     words = "level was" if self.limits.levels == 1 else "levels were"
                     raise self.stopped(f"{self.limits.levels:g} {words} not enough", *self.best)
