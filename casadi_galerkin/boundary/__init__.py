@@ -1,4 +1,4 @@
-"""Boundary problems, all intervals at once.
+"""Two-point boundary problems, solved for all intervals at once.
 
 A `graph` holds one problem, and a `transcription` solves it as often as wanted.  `refinement` chooses degree and mesh
 for a tolerance: `first_path` finds a first path, if necessary by `action_descent` or the search for

@@ -1,4 +1,4 @@
-"""All stationary paths that a search finds, on one mesh or to a tolerance, and for every number of turns."""
+"""The function `paths`: all stationary paths that a search finds, on one mesh or to a tolerance, in a `Paths`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Strategies to find the first path of a refinement, in the order of their cost."""
+"""Strategies to find the first path of a refinement: Newton's method, descent, random guesses, a growing force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A boundary problem on N intervals as one CasADi graph: its inputs, its unknowns, and its critical points."""
+"""The graph of a boundary problem on N intervals: guesses become its unknowns, solvers find its critical points."""
 
 from __future__ import annotations
 

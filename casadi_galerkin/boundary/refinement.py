@@ -1,4 +1,4 @@
-"""From a tolerance to a degree and a mesh.
+"""A boundary problem solved to a tolerance: solve, estimate the error, and solve again on a better mesh.
 
 The degree follows from the tolerance alone, the mesh from the path.  Solve, estimate the truncation error from the
 decay of the Legendre coefficients on every interval, equidistribute it (`mesh_adaptation`), and solve again from the

@@ -1,4 +1,4 @@
-"""All intervals at once: the transcription of a boundary problem into one graph, solved as often as wanted."""
+"""A boundary problem on N intervals, built once and solved often: trajectories with index and error; kept graphs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a mesh is too coarse for a path, and a mesh that is fine enough.
+"""Mesh adaptation: the truncation error of a path on each interval, and meshes that equidistribute it.
 
 What a piecewise polynomial of degree m leaves out of a path on an interval, its truncation error, is estimated from the
 decay of its Legendre coefficients there.  A new mesh makes it equally large on all intervals (equidistribution).

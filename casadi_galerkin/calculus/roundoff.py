@@ -1,4 +1,4 @@
-"""The limits of double precision, and the sizes that errors are relative to."""
+"""Constants of double precision, and the sizes of arrays that errors are relative to."""
 
 import numpy as np
 

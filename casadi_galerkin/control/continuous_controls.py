@@ -1,4 +1,4 @@
-"""Controls that act alike, such as angles that differ by full turns, made continuous in time.
+"""Continuous controls where several act alike, such as angles that differ by full turns.
 
 Where many controls have the same effect, an optimizer may stop at another one at each quadrature point.  Path and cost
 are right, but the control as a function of time is not.  So from each point to the next, Newton's method looks for the

@@ -1,6 +1,6 @@
-"""The constant matrices from the vector ξ of the `Chain` to the inputs of the pointwise functions, and back.
+"""Constant sparse matrices from the unknowns to the inputs of pointwise functions, and from their outputs to equations.
 
-The inputs of the pointwise functions are linear in ξ,
+The inputs of the pointwise functions are linear in the vector ξ of unknowns and data (`control_numbering`),
 
     (x, x', u, T, π, t_0, s, σ, S) at all quadrature points,    (x, v, π, t, S) at either end    =  A ξ,
 

@@ -1,4 +1,4 @@
-"""The optimization's functions and exact derivatives, as CasADi graphs; nothing is differentiated through them.
+"""Cost, equations and their exact derivatives as CasADi graphs, assembled from pointwise derivatives.
 
 With A, Ê, Θ and Λ of the `ChainEmbedding`, and at every place z_k the cost c_k and the rows e_k of `control_terms`,
 

@@ -1,4 +1,4 @@
-"""From a tolerance to a degree and a mesh, for trajectory optimization.
+"""Trajectory optimization to a tolerance: solve, estimate the error, and solve again on a better mesh.
 
 Every path is compared with two others of degree m + 2, on its mesh and on an interlaced one: see `two_comparisons`,
 which also proposes the next mesh.  Estimated are the relative errors of cost and duration, and the largest error of x

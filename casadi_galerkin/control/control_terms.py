@@ -1,4 +1,4 @@
-"""The terms of an optimization at one place of every kind, as SX Functions with their derivatives.
+"""Cost and equations at one quadrature point, end, node or breakpoint, as SX Functions with their derivatives.
 
 At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the rows of the equations are
 

@@ -1,4 +1,4 @@
-"""Breakpoints with free times that a refinement leaves out of the problem, and adds to the solution again.
+"""Breakpoints with free times where nothing happens: a refinement leaves them out, and puts them at switches at last.
 
 Where a breakpoint with a free time has neither a waypoint nor a jump, its time is not determined.  As an unknown it
 could take any value and would move all joints beside it.  The discrete cost is then lowest where a control switches

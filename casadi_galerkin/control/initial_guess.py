@@ -1,4 +1,4 @@
-"""The starting point of an optimization: values for every field of the `Chain`."""
+"""A guess in any form, or none, as the starting point of an optimization: values of all its unknowns."""
 
 from __future__ import annotations
 

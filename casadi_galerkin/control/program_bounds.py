@@ -1,4 +1,4 @@
-"""Bounds of the unknowns and of the equations of the program: whether there is room in them, and what violates them.
+"""Bounds of the nonlinear program on unknowns and equations, whether they can all be met, and what violates them.
 
 A violation is relative to what is compared: the terms of an equation, or the largest value of a bounded kind, in which
 rounding `EPS` is never a violation.

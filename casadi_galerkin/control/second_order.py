@@ -1,4 +1,4 @@
-"""What the second derivatives of the cost tell at an optimum: what the solver has left, and whether it is a minimum.
+"""Second-order conditions at an optimum: the remaining error of the solver, and whether it is a minimum or a saddle.
 
 Let A be the derivatives of the equations G, and d the distances of values to the bounds on which their multipliers act.
 At the optimum the equations hold, the slopes vanish, and every multiplier or its distance is zero.  The Newton step

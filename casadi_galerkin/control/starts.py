@@ -1,4 +1,4 @@
-"""Where an optimization starts: at the guess, where that leads nowhere at the straight line, and at random paths.
+"""Several starts of an optimization: the guess, the straight line where that fails, and random paths for other optima.
 
 Each solve finds a local optimum, or none, and from another start it may find a better one, or one at all.
 """

@@ -1,6 +1,6 @@
-"""The errors of an optimal path, and a better mesh, from two other paths of two degrees more.
+"""The error of an optimal path, and its next mesh, by comparison with two optimal paths of two degrees more.
 
-One is on the same mesh.  The other is on an interlaced one: every joint gives way to two, at parts of the shorter
+One has the same mesh.  The other has an interlaced one: every joint gives way to two, at parts of the shorter
 interval beside it that differ (`BEFORE`, `AFTER`), so that no point of the new intervals is where the joint was.
 Wherever a control switches or meets a bound, a constraint is touched or a callable jumps, the three paths see it at
 different places between different points, and differ by about the error of the first.  Joints that have to stay, at the

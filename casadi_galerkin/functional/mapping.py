@@ -1,4 +1,4 @@
-"""Evaluation of a Function of one point at many points: one after the other, by rows of points, or on arrays."""
+"""Maps of a pointwise Function over many points, in a graph or on arrays."""
 
 from __future__ import annotations
 

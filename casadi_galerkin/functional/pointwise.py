@@ -1,4 +1,4 @@
-"""The pulled-back Lagrangian at one point, with its derivatives, as SX Functions.
+"""The Lagrangian at one point of the reference interval, pulled back to it, and its derivatives, as SX Functions.
 
 On the reference interval, with the slope x' = h v, the Lagrangian is L̂(t, h, x, x') = h L(t, x, x'/h).  It contains the
 step h, so that the sum over an interval needs no factor h, and the linear parts of the graph do not depend on the mesh.

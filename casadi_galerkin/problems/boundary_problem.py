@@ -1,4 +1,4 @@
-"""What a boundary problem states, checked before anything is solved; no solve calls back into Python.
+"""The public `BoundaryProblem`: a Lagrangian and what is given at two ends, checked before anything is solved.
 
 stationary    ∫ L(t, x, v) dt + φ(x_0, x_N)
 subject to    g(t, x) = 0,     ψ(x_0, x_N) = 0,     ends, velocities, momenta or an energy that are given,

@@ -1,6 +1,6 @@
-"""The user's callables, checked.
+"""Callables of the user, such as L(t, x, v), traced once into CasADi Functions of one point, and checked.
 
-They are traced once into CasADi Functions of one point.  Objects that hold these Functions can be pickled.
+Objects that hold these Functions can be pickled.
 """
 
 from __future__ import annotations

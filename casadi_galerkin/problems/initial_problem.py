@@ -1,4 +1,4 @@
-"""A path from a position and a momentum, or velocity, at the start."""
+"""The public `InitialProblem`: a path from a position and a momentum, or velocity, at the start."""
 
 from __future__ import annotations
 

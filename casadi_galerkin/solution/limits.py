@@ -1,4 +1,4 @@
-"""Limits of a refinement."""
+"""The public `Limits`: how many intervals and seconds a solve to a tolerance may take."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A curve of critical points z = (ξ, s), followed by its arc length through folds and branch points.
+"""Pseudo-arclength continuation: curves of critical points z = (ξ, s), followed through folds and branch points.
 
     F(ξ, s) = ∇S(ξ, data(s)) - s r = 0,    data(s) = (1 - s) data_0 + s data_1
 

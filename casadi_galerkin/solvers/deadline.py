@@ -1,4 +1,4 @@
-"""The time at which the solves of this thread stop, such as that of a refinement with limits."""
+"""A time limit for all solves of one thread, such as those of a refinement with `limits`."""
 
 from __future__ import annotations
 

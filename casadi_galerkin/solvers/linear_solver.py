@@ -1,6 +1,7 @@
-"""The linear algebra of Newton's method as Functions that depend on the Hessian's sparsity alone.
+"""The linear algebra of Newton's method: linear solves, the sizes of unknowns, and the roundoff floors of equations.
 
-They are kept for all Lagrangians with that sparsity.  Nothing in them is written by a solve.
+These Functions depend on the sparsity of the Hessian alone, and are kept for all Lagrangians with that sparsity.
+Nothing in them is written by a solve.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Newton's method with a line search that does not see the scaling of equations or unknowns.
+"""Newton's method for ∇S = 0 with an affine-invariant line search, and the verification of its answer.
 
 The natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Problems", 2004, algorithm NLEQ-ERR.  Where
 it ends, Newton's method begins again from the guess with free steps, which are no longer than the guess itself: on 7

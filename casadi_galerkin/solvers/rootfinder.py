@@ -1,7 +1,7 @@
-"""CasADi's own rootfinder on the same graph.
+"""The solver `rootfinder`: CasADi's Newton method for ∇S = 0, whose answer Newton's method of this package verifies.
 
-Its ``newton`` plugin shortens its steps until they lower the residual, or with ``line_search=False`` takes full ones,
-until an absolute residual is reached.  So the residuals are measured by the sizes of the terms that they sum.  With
+CasADi's ``newton`` plugin shortens its steps until they lower the residual, or with ``line_search=False`` takes full
+ones, until an absolute residual is reached.  So residuals are measured by the sizes of the terms that they sum.  With
 multipliers among the unknowns, full steps are the default: the first of them leaves a constraint that was met, and from
 then on the residual falls, while a line search was measured to stall.  It reports NaN as success, and from a straight
 line it may diverge on large swings: what it finds is verified as any other answer.

@@ -1,4 +1,4 @@
-"""The second variation of the action: its softest direction, which shows conjugate points, and the Morse index."""
+"""The second variation of the action: the direction of smallest curvature (0 at conjugate points), and Morse index."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""The stationarity conditions ∇S(ξ) = 0 of one discrete functional, and the three steps of Newton's method for them.
+"""The stationarity conditions ∇S(ξ) = 0 of one discrete functional, and the three Functions that Newton's method needs.
 
     newton_step      ξ, data                                 ->  ∇S, ∇²S; step, softest_direction, sizes, norm
     simplified_step  ξ, data, ∇²S, step, sizes, damping      ->  simplified, length, nonlinearity
     verification     ξ, data, ∇²S, softest_direction         ->  S, momenta, residual, regularity
 
-In each step, a Function of the functional's graph evaluates, and a Function of the `LinearSolver` solves or measures.
+In each, a Function of the functional's graph evaluates, and a Function of the `LinearSolver` solves or measures.
 A `LinearSolver` serves all Lagrangians whose ∇²S has the same sparsity.  A `Stationarity` holds the functional and the
 linear solver; it is immutable and may be shared.  The arrays that a solve writes to belong to a `Linearization`, which
 only one solve uses at a time.  The outputs of one Function and the inputs of another with the same name are one array.

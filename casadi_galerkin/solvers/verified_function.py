@@ -1,4 +1,4 @@
-"""A solve as a CasADi Function, which checks its own answer."""
+"""A CasADi Function of a solve whose outputs are NaN where the answer does not pass its check."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same equations one interval after the other.
+"""The discrete Euler-Lagrange equations solved one interval after the other: initial problems and shooting.
 
 A `stepper` rolls the map (x, p) -> (x, p) of one interval forward: the discrete Euler-Lagrange equations (paper, eqs.
 euler1 and euler2), solved joint by joint.  `initial_value` solves initial problems with it, and `shooting` boundary

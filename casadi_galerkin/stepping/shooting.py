@@ -1,8 +1,7 @@
 """Boundary problems solved stepwise: single shooting, Newton's method on the start of the path.
 
 `shooting_residual` is what the path from one start misses.  Newton's method halves its steps until they pass the
-natural
-monotonicity test, as in the global solve.
+natural monotonicity test, as in the global solve.
 
 Shooting can be no better than the product of the steps' Jacobians: it magnifies the rounding of the start.  Where
 the growth comes near 1/eps, no start that a computer holds meets the end, and `shoot` says so.

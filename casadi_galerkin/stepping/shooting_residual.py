@@ -1,4 +1,4 @@
-"""One shot: the path from a start, by how much it misses the equations between the ends, and the derivative of that.
+"""The residual of single shooting: the path from a start, how far it misses the end conditions, and their derivative.
 
 The unknowns are the start (x_0, p_0, η): the first state, and the multipliers and velocities that the conditions on the
 ends bring along.  The equations hold between the ends (`end_equations`).  For a given energy the stretch of the steps
