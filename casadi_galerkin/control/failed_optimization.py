@@ -48,28 +48,12 @@ UNDEFINED_SOMEWHERE = frozenset(
 )
 AVOID = "Give a guess that avoids it, or add a small number under a root, as in sqrt(sumsqr(u) + 1e-4) for a norm"
 UNBOUNDED = "; the cost may have no lower bound"
-COMPARISONS = ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE
+BENT = ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE
+KINKS = {CONTROLS: (ca.OP_SQRT, *BENT), POSITIONS: BENT, VELOCITIES: BENT}  # operations whose derivatives may jump
 SMOOTH = (
-    "holds fabs, fmax, fmin or a comparison of positions or velocities, and its derivative may jump there: smooth it, "
-    "as sqrt(z**2 + 1e-6) does fabs(z)"
-)
-KINKS = (  # a cost, operations within it, on which of its arguments, and what to do
-    (
-        "running_cost",
-        COMPARISONS,
-        [CONTROLS],
-        "holds fmax, fmin or a comparison of a control, and its derivative may jump there: replace fmax(a, b) by a "
-        "further control e, and add e - a >= 0 and e - b >= 0 as path_constraint",
-    ),
-    (
-        "running_cost",
-        (ca.OP_SQRT,),
-        [CONTROLS],
-        "holds a root or norm of controls, whose derivative jumps where that is zero: a small number under the root "
-        "keeps it smooth, as in sqrt(sumsqr(u) + 1e-4) for u near one; then a smaller one, with that answer as guess",
-    ),
-    ("running_cost", (ca.OP_FABS, *COMPARISONS), [POSITIONS, VELOCITIES], SMOOTH),
-    ("terminal_cost", (ca.OP_FABS, *COMPARISONS), [POSITIONS, VELOCITIES], SMOOTH),
+    "holds fabs, fmax, fmin, a comparison, or a root or norm of controls, and its derivative may jump there: write "
+    "sqrt(z**2 + 1e-6) for fabs(z), put a small number under a root, as in sqrt(sumsqr(u) + 1e-4), and for fmax(a, b) "
+    "a further control e, with e - a >= 0 and e - b >= 0 as path_constraint"
 )
 
 
@@ -107,10 +91,11 @@ def explained(
 
 def kink_hint(problem: ControlProblem) -> str | None:
     """What to do about a cost whose derivative may jump, if it may."""
-    for name, operations, arguments, words in KINKS:
-        cost = getattr(problem, name)
-        if cost is not None and any(entries_within(cost, argument, operations) for argument in arguments):
-            return f"The {name.replace('_', ' ')} {words}"
+    if any(entries_within(problem.running_cost, argument, kinks) for argument, kinks in KINKS.items()):
+        return f"The running cost {SMOOTH}"
+    cost = problem.terminal_cost
+    if cost is not None and any(entries_within(cost, argument, BENT) for argument in (POSITIONS, VELOCITIES)):
+        return f"The terminal cost {SMOOTH}"
     return None
 
 
