@@ -20,6 +20,7 @@ from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import ENDS
 
+VANISHED = 1e3 * EPS  # terms over those along the guess below which they are rounding
 LEAST_SIZE = EPS / FEASIBLE  # size of terms, over that of what they are part of, from which their rounding is feasible
 
 
@@ -83,13 +84,15 @@ def equation_scales(
     """Sizes of the terms of the equations, to which their residuals are relative; (equations,).
 
     For the equations of motion of a component it is the largest sum of the sizes of the terms of one of them along the
-    path; for a path constraint or an end condition g it is |∇g||z|, or its finite bound if that is larger.  All are at
-    least a rounding of that along the guess (`before`, by kind), or of a rounding; for a rate, of its given positions.
+    path; for a path constraint or an end condition g it is |∇g||z|, or its finite bound if that is larger.  Where these
+    terms are only rounding of those along the guess (`before`, by kind), it is the latter.  All are at least a rounding
+    of a rounding, for a rate a rounding of its given positions.
     """
     given = np.nan_to_num(np.vstack((problem.given_positions, np.array(problem.position_bounds))), posinf=0, neginf=0)
-    of_guess, stated = np.fmax(before, LEAST_SIZE), largest_of(_finite_sizes(bounds.equations), chain.kinds)
-    of_guess[chain.rated] = np.minimum(or_one(np.max(np.abs(given), axis=0)[problem.mechanical :]), 1.0)
-    return or_one(np.fmax(np.fmax(report.sizes, stated), LEAST_SIZE * of_guess))[chain.kinds]
+    least, stated = np.full(len(before), LEAST_SIZE), largest_of(_finite_sizes(bounds.equations), chain.kinds)
+    least[chain.rated] = np.minimum(or_one(np.max(np.abs(given), axis=0)[problem.mechanical :]), 1.0)
+    sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
+    return or_one(np.fmax(np.fmax(sizes, stated), LEAST_SIZE * least))[chain.kinds]
 
 
 def violations(
