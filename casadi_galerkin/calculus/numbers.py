@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-LEAST_SPAN = 1e-150  # duration whose square is still a double, and so is that of its inverse
+from casadi_galerkin.calculus.roundoff import ZERO
+
 APART = 1e-12  # least relative difference of two times; between nearer ones velocities would be roundoff
 
 
@@ -166,8 +167,8 @@ def time_span(value: Sequence[float]) -> tuple[float, float]:
     start, end = numbers("t_span", value, 2)
     if end <= start:
         raise ValueError(f"t_span must increase, got ({start}, {end})")
-    if not LEAST_SPAN < end - start < 1 / LEAST_SPAN:
-        raise ValueError(f"t_span must last {LEAST_SPAN:g} to {1 / LEAST_SPAN:g} units of time, got ({start}, {end})")
+    if not ZERO < end - start < 1 / ZERO:
+        raise ValueError(f"t_span must last {ZERO:g} to {1 / ZERO:g} units of time, got ({start}, {end})")
     return start, end
 
 

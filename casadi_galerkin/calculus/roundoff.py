@@ -4,7 +4,7 @@ import numpy as np
 
 EPS = float(np.finfo(float).eps)
 TINY = float(np.finfo(float).tiny)
-ZERO = 1e-150  # size below which a component counts as zero everywhere: its square, an energy, underflows
+ZERO = 1e-150  # size below which a component, or a duration, counts as zero: its square, an energy, underflows
 
 
 def or_one(sizes: np.ndarray) -> np.ndarray:

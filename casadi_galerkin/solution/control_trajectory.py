@@ -303,7 +303,7 @@ class ControlTrajectory(Trajectory):
         self.plot_controls(drawn[1], control_labels, "")
         if limited:
             self.plot_constraints(drawn[2], time="")
-        line, at_joints = self.costate.line(self._fine()), (self.t, self.costate(self.t))
+        line, at_joints = self.costate.line(self.fine_times), (self.t, self.costate(self.t))
         plot_path(line, at_joints, drawn[-1], costate_labels, time, "λ")
         for panel in drawn:
             for when in self.problem.breakpoints:

@@ -18,7 +18,7 @@ from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, p
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DRAWN = 4000  # times at which a line is drawn, as the oscillations of a long path need; two per interval at least
+FINE = 4000  # times at which a path is drawn and compared; two per interval at least
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -118,7 +118,7 @@ class Path(Table, Pictured):
         """
         poses = self._places(points, np.linspace(self.t[0], self.t[-1], whole_number("count", count)))
         poses[:, 0] += finite("apart", apart) * np.arange(count)
-        trail = np.empty((2, 0)) if apart else self._places(points, self._fine())[-1]
+        trail = np.empty((2, 0)) if apart else self._places(points, self.fine_times)[-1]
         return plot_poses(poses, trail, axes)
 
     def _places(self, points: Callable[[np.ndarray], ArrayLike], times: np.ndarray) -> np.ndarray:
@@ -135,11 +135,12 @@ class Path(Table, Pictured):
 
     def _line(self) -> tuple[np.ndarray, np.ndarray]:
         """Times (K,) and positions (d, K) of a smooth line, both of them where it jumps."""
-        return self.polynomial.line(self._fine())
+        return self.polynomial.line(self.fine_times)
 
-    def _fine(self) -> np.ndarray:
-        """Times of a smooth line, with all joints."""
-        return self.polynomial.times(np.linspace(0, 1, max(2, DRAWN // (len(self.t) - 1)), endpoint=False))
+    @property
+    def fine_times(self) -> np.ndarray:
+        """Times (K,) at which a path is drawn and compared, with all joints."""
+        return self.polynomial.times(np.linspace(0, 1, max(2, FINE // (len(self.t) - 1)), endpoint=False))
 
     def __repr__(self) -> str:
         """State the size and the time of the path."""

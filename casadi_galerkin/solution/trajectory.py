@@ -214,7 +214,7 @@ class Trajectory(Path):
         labels : names of position and momentum with units
         """
         checked_index("component", component, len(self.x))
-        times = self._fine()
+        times = self.fine_times
         momenta, _ = at_places(legendre_transform(self._lagrangian), times, self(times), self(times, 1))
         places = np.stack((self(times)[component], momenta[component]))
         joints = np.stack((self.x[component], self.momentum[component]))

@@ -1,8 +1,9 @@
 """Variations of a problem solved chunk by chunk: in this process, or by the own ``map`` of an executor of processes.
 
 Without a tolerance, chunks follow the order given.  With one, a variation starts from the path and the mesh of its
-nearest neighbor: of n variations some √n, the centers, are solved first, one after the other, and then about each of
-them a chunk of those that are nearest to it.  Chunks do not depend on who solves them, so that answers do not, either.
+nearest neighbor: of n variations some 2√n, the centers, are solved first, next always the one nearest to a solved one,
+and then about each of them a chunk of those that are nearest to it.  Chunks do not depend on who solves them, so that
+answers do not, either.
 
 To an executor goes the pickled problem with every chunk; each worker builds its graph once.  Nothing here knows whose
 executor it is: a process pool's, Dask's ``client.get_executor()``, mpi4py's ``MPIPoolExecutor``.  What ends a worker
@@ -37,6 +38,7 @@ from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.trajectory import Trajectory
 
 CHUNKS = 64  # of variations without neighbors: enough to keep workers busy, few enough that sending costs little
+LEAST_CHUNK = 4  # variations in a chunk of neighbors; larger than √n / 2 they led to another branch in a porkchop plot
 
 Variation = Mapping[str, Any]
 Answer = Trajectory | Exception
@@ -222,10 +224,18 @@ def answered(
         yield from solved([(list(range(first, min(first + size, count))), []) for first in range(0, count, size)])
     elif count:
         values = np.array([data_vector(problem) for problem in problems])
-        places, centers = values / or_one(np.ptp(values, axis=0)), np.arange(0, count, math.isqrt(count))
+        places, centers = (
+            values / or_one(np.ptp(values, axis=0)),
+            np.arange(0, count, max(LEAST_CHUNK, math.isqrt(count) // 2)),
+        )
         apart = np.array([np.sum((places - places[center]) ** 2, axis=1) for center in centers])
         found = dict[int, Answer]()
-        for i, answer in solved([(centers[np.argsort(apart[0, centers], kind="stable")].tolist(), [])]):
+        order, away = list[int](), apart[0, centers]  # next always the center that is nearest to one before
+        for _ in centers:
+            order.append(int(np.argmin(away)))
+            away = np.minimum(away, apart[order[-1], centers])
+            away[order] = np.inf
+        for i, answer in solved([(centers[order].tolist(), [])]):
             found[i] = answer
             yield i, answer
         belongs, chunks = np.argmin(apart, axis=0), []

@@ -21,7 +21,6 @@ from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import APART, counted, number
-from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.idle_breakpoints import with_joined_phases
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -31,9 +30,9 @@ from casadi_galerkin.problems.problem import Problem, map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import LimitReached
 from casadi_galerkin.solution.guess import check_finite_values, sampled
+from casadi_galerkin.solution.path import FINE
 from casadi_galerkin.solution.trajectory import Trajectory
 
-SAMPLES = 2000  # times at which errors are taken, and at least 4 on every interval
 TIGHT, TIGHT_OPTIMUM = 1e-12, 1e-8  # tolerances of references, the latter of optimizations
 
 AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
@@ -58,7 +57,7 @@ def check_reference(problem: AnyProblem, given: Reference, measure: Measure | No
     elif free:
         raise TypeError(f"where the duration is free, the reference must be a Trajectory, got {given!r}")
     else:
-        times = np.linspace(*span, SAMPLES)
+        times = np.linspace(*span, FINE)
         check_finite_values("the reference", sampled("the reference", given, times, d), times)
     if measure is not None:
         quantity(measure, given)
@@ -142,8 +141,8 @@ def _functional(path: Trajectory) -> float:
 
 
 def _between(path: Trajectory) -> np.ndarray:
-    """Times between the joints of a path at which errors are taken."""
-    return times_at(path.t, np.linspace(0.0, 1.0, max(4, SAMPLES // len(path.t)) + 1)[1:-1])
+    """Times between the joints, where velocities may jump, at which errors are taken."""
+    return np.setdiff1d(path.fine_times, path.t)
 
 
 def _marks(problem: Problem) -> list[float]:

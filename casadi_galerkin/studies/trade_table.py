@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from textwrap import shorten
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 LEAST_ERROR = 64 * EPS  # errors below cannot be told from rounding
 PLATEAU = 30.0  # errors below so many times the floor take no part in the fit of an order
 MOST_SHOWN = 40  # rows of a table; of more, only those of the front are shown
-REASON = 70  # characters of the reason of a failure in a table
 HOW, WORDS = ("*", "degree", "rule", "intervals", "solved by"), ("*", "rule", "solved by")
 COSTS = ("unknowns", "first/ms", "solve/ms", "iterations")
 ERRORS = ("path", "at joints", "functional", "energy")
@@ -126,7 +124,7 @@ class Row:
         """The way, what it misses and what it takes, in one line."""
         by = f"Row of {self.way}" + (f": {self.method} on {self.intervals} intervals" if self.method else "")
         if self.failure is not None:
-            return f"{by}: {shorten(self.failure, REASON)}"
+            return f"{by}: {_reason(self.failure)}"
         times = f"{1e3 * self.first_seconds:.3g} ms the first time, {1e3 * self.solve_seconds:.3g} ms again"
         return f"{by}: error {self.error:.1e}, {times}"
 
@@ -283,9 +281,14 @@ def _cells(row: Row, best: bool, named: bool) -> list[str]:
     degree, rule = ("", "") if row.method is None else (str(row.method.degree), rule_of(row.method))
     how = ["*" if best else "", degree, rule, str(row.intervals or ""), row.way]
     if row.failure is not None:
-        return [*how, f"failed: {shorten(row.failure.partition('. ')[0], REASON, placeholder='…')}"]
+        return [*how, f"failed: {_reason(row.failure)}"]
     seconds = [f"{1e3 * value:.3f}" for value in (row.first_seconds, row.solve_seconds)]
     return [*how, str(row.unknowns), *seconds, str(row.iterations), *_errors(row, named)]
+
+
+def _reason(failure: str) -> str:
+    """The first clause of a message."""
+    return failure.partition(". ")[0].partition(": ")[0]
 
 
 def _errors(row: Row, named: bool) -> list[str]:
