@@ -322,8 +322,8 @@ class BranchFollower(Curve[PathPoint]):
         for iteration in range(ITERATIONS):
             if min(map(abs, rates)) < level:
                 break
-            share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
-            z = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, self.longest_step)
+            fraction = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
+            z = self.corrected(ends[0] + fraction * (ends[1] - ends[0]), tangent, self.longest_step)
             if z is None:
                 continue
             rate = self.tangent(z, tangent)[-1]

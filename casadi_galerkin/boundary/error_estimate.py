@@ -44,7 +44,7 @@ def discretization_error(
     def moved(step: np.ndarray) -> float:
         """Largest relative change of the path by a step."""
         change = graph.change(step)
-        if graph.numbering.stretched:
+        if graph.numbering.free_duration:
             times = path.times(nodes[:-1])
             change = change - step[-1] * path(times, 1) * (times - times[0])
         return largest_change(path, nodes, change)

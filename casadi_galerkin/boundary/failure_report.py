@@ -148,7 +148,7 @@ def explained(
         words = f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free. {opened}"
     if numbering.multipliers:
         words += "; the constraints and the conditions on the ends may contradict one another, or say one thing twice"
-    if numbering.stretched:
+    if numbering.free_duration:
         words += "; there may be no path of this energy"
     error = kind(words, Path(path), float(residual[worst]), failure.iterations)
     error.__cause__ = cause

@@ -30,7 +30,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
-ITERATIONS = 40  # most iterations of Newton's method before another way is tried; with more it moves far away
+ITERATIONS = 40  # most iterations of Newton's method before another strategy is tried; with more it moves far away
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
 MORE = 4  # factor on the intervals of a coarse mesh that is too coarse for any path; it was always enough
 GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a guess
@@ -180,9 +180,9 @@ def _by_random_guesses(graphs: GraphCache, method: Galerkin, mesh: np.ndarray, s
     return graphs.solve(method, found.t, found, solver)
 
 
-GROWTH, LEAST_GROWTH = 10.0, 1.02  # first factor by which a share grows, and the factor below which the path is lost
-LEAST = 1e-8  # smallest share that is tried
-MOST = 100  # largest number of shares that are tried
+GROWTH, LEAST_GROWTH = 10.0, 1.02  # first factor by which a fraction grows, and the factor below which the path is lost
+LEAST = 1e-8  # smallest fraction that is tried
+MOST = 100  # largest number of fractions that are tried
 
 
 def path_by_homotopy(
@@ -198,32 +198,32 @@ def path_by_homotopy(
     guess : guess of the path of the problem
     intermediate_path : (graphs, guess) -> the path from this guess, on a mesh that resolves it
     """
-    share, growth, known = 1 / GROWTH, GROWTH, 0.0
+    fraction, growth, known = 1 / GROWTH, GROWTH, 0.0
     for _ in range(MOST):
-        part = graphs if share == 1.0 else with_scaled_force(graphs, share)
+        part = graphs if fraction == 1.0 else with_scaled_force(graphs, fraction)
         try:
             point = intermediate_path(part, guess)
         except ConvergenceError as failure:
             lost = failure
             growth = math.sqrt(growth) if known else growth
-            if growth < LEAST_GROWTH or share <= LEAST:
+            if growth < LEAST_GROWTH or fraction <= LEAST:
                 break
-            share = known * growth if known else share / GROWTH
+            fraction = known * growth if known else fraction / GROWTH
         else:
-            if share == 1.0:
+            if fraction == 1.0:
                 return point
-            guess, known, growth = point.polynomial, share, min(growth**1.5, GROWTH)
-            share = min(1.0, known * growth)
+            guess, known, growth = point.polynomial, fraction, min(growth**1.5, GROWTH)
+            fraction = min(1.0, known * growth)
         finally:
             if part is not graphs:
                 graphs.iterations += part.iterations
-    words = f"the path under a growing share was lost at a share of {share:.2g}: {lost}"
+    words = f"the path under a growing fraction was lost at a fraction of {fraction:.2g}: {lost}"
     raise ConvergenceError(words, lost.path, lost.residual, lost.iterations)
 
 
-def with_scaled_force(graphs: GraphCache, share: float) -> GraphCache:
-    """The problem under a share of its force."""
+def with_scaled_force(graphs: GraphCache, fraction: float) -> GraphCache:
+    """The problem under a fraction of its force."""
     problem = graphs.problem
     assert problem.force is not None
     inputs = problem.force.sx_in()
-    return GraphCache(with_values(problem, force=ca.Function("force", inputs, [share * problem.force(*inputs)])))
+    return GraphCache(with_values(problem, force=ca.Function("force", inputs, [fraction * problem.force(*inputs)])))

@@ -25,7 +25,7 @@ from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solution.orbit_phase import phase_plane
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
-from casadi_galerkin.solvers.second_variation import SINGULAR, softest
+from casadi_galerkin.solvers.second_variation import SINGULAR, smallest_curvature
 from casadi_galerkin.solvers.solver import SolverLike, newton
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
@@ -124,9 +124,9 @@ class BoundaryGraph:
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
             change = None
-            if failure.singular or not self.numbering.stretched:
-                quotient, softest_change = graph.softest(failure.unknowns, data)
-                change = softest_change if quotient < EPS**0.5 and np.isfinite(softest_change).all() else None
+            if failure.singular or not self.numbering.free_duration:
+                quotient, least_curved_change = graph.smallest_curvature(failure.unknowns, data)
+                change = least_curved_change if quotient < EPS**0.5 and np.isfinite(least_curved_change).all() else None
             error = explained(problem, self.stationarity, failure, path, data, change)
             raise error from error.__cause__
         if not isinstance(solution, Solution):
@@ -146,14 +146,14 @@ class BoundaryGraph:
 
     def check_second_variation(self, point: CriticalPoint) -> None:
         """Raise if the second variation vanishes at a critical point."""
-        quotient, change = self.softest(point.solution.unknowns, point.solution.data)
+        quotient, change = self.smallest_curvature(point.solution.unknowns, point.solution.data)
         if quotient < SINGULAR:
             raise conjugate(self.problem, point.solution, point.polynomial, quotient, change)
 
-    def softest(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray]:
+    def smallest_curvature(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray]:
         """Smallest second variation over the sizes of its terms, and its variation at the nodes, (d, N m + 1)."""
         with self.stationarity.linearization() as at, np.errstate(all="ignore"):
-            direction, quotient = softest(at, unknowns, data)
+            direction, quotient = smallest_curvature(at, unknowns, data)
             if quotient == 0:  # to the last digit: other rounding shows the direction
                 at.matrix[:] *= 1 + EPS * np.random.default_rng(len(unknowns)).choice((-1.0, 1.0), len(at.matrix))
                 (direction,) = at.solve(self.stationarity.sizes(unknowns, data))

@@ -48,14 +48,14 @@ def data_vector(problem: Problem) -> np.ndarray:
     return np.array([*problem.t_span, *(a for a in chain(*_given(problem).values()) if a is not None)])
 
 
-def interpolated_problem(one: BoundaryProblem, other: BoundaryProblem, share: float) -> BoundaryProblem:
-    """The problem with given values interpolated linearly between those of two problems; `share` is 0 at `one`."""
-    start, end = ((1 - share) * a + share * b for a, b in zip(one.t_span, other.t_span, strict=True))
+def interpolated_problem(one: BoundaryProblem, other: BoundaryProblem, fraction: float) -> BoundaryProblem:
+    """The problem with given values interpolated linearly between those of two problems; `fraction` is 0 at `one`."""
+    start, end = ((1 - fraction) * a + fraction * b for a, b in zip(one.t_span, other.t_span, strict=True))
     before, after = _given(one), _given(other)
     changes: dict[str, object] = {}
     for name, values in after.items():
         mixed = [
-            None if a is None or b is None else (1 - share) * a + share * b
+            None if a is None or b is None else (1 - fraction) * a + fraction * b
             for a, b in zip(before[name], values, strict=True)
         ]
         changes[name] = mixed[0] if name == "energy" else mixed
@@ -130,9 +130,9 @@ def _branch_point(graph: Transcription, path: Trajectory, values: np.ndarray) ->
     found = _slopes(graph.functional).call([unknowns, *data])
     action, at_start, at_end, by_joints, *further = (np.array(value).ravel() for value in found)
     joints = section_times(problem)  # only the ends move
-    ways = np.zeros((2, len(joints)))
-    ways[0, 0] = ways[1, -1] = 1.0
-    by_times = [np.interp(mesh, joints, way) @ by_joints for way in ways]
+    by_end = np.zeros((2, len(joints)))
+    by_end[0, 0] = by_end[1, -1] = 1.0
+    by_times = [np.interp(mesh, joints, moved) @ by_joints for moved in by_end]
     return BranchPoint(values, index, float(action[0]), np.concatenate((by_times, at_start, at_end, *further)))
 
 

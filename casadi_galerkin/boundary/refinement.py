@@ -7,15 +7,15 @@ whole path, in the space of a higher degree on the same mesh, give its error at 
 measured at 0.9 to 1.1 times the true error on the reference problems, and at 0.4 to 15 times near collisions.  The
 Legendre coefficients alone do not show the error at the joints, and the strong Euler-Lagrange residual would have to be
 multiplied by the norm of an inverse.  Only a path whose estimated error is below the tolerance is returned.  Where L is
-infinite but integrable at a breakpoint or a natural end, as |t|^p with p from -0.5 to -0.8, two degrees share most of
-their errors of quadrature, and estimates were measured 2 to 6 times too small.
+infinite but integrable at a breakpoint or a natural end, as |t|^p with p from -0.5 to -0.8, two degrees have
+most of their errors of quadrature in common, and estimates were measured 2 to 6 times too small.
 
 A mesh may be too coarse for the variations of a path even if it resolves the path.  So the responses of the path to
 the same forces must agree in both degrees (`agreement`), or every interval is halved.
 
-Where the Hessian is nearly singular, the error is a multiple of the truncation error and has the shape of the softest
-variation, which does not show where the truncation error is large.  A new mesh therefore equidistributes the truncation
-error, scaled to the size of the estimated error.
+Where the Hessian is nearly singular, the error is a multiple of the truncation error and has the shape of the variation
+of smallest curvature, which does not show where the truncation error is large.  A new mesh therefore equidistributes
+the truncation error, scaled to the size of the estimated error.
 """
 
 from __future__ import annotations
@@ -149,9 +149,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 graph.check_second_variation(level)
                 words = "responses to forces, which differ with the degree: the ends are nearly conjugate"
                 return Estimate(1 - agreed, False, words, np.full(len(truncation), 2.0))
-        shares = np.maximum(truncation, TINY) / max(float(np.max(truncation)), TINY)
+        relative = np.maximum(truncation, TINY) / max(float(np.max(truncation)), TINY)
         magnified = ": the ends are nearly conjugate" if error > 1 else ""
-        return Estimate(error, True, f"degree {graph.higher.method.degree}{magnified}", self.parts(error * shares))
+        return Estimate(error, True, f"degree {graph.higher.method.degree}{magnified}", self.parts(error * relative))
 
     def regular(self, level: CriticalPoint) -> bool:
         """Whether the path is so regular that an error of eps in its values stays far below the tolerance."""
@@ -172,7 +172,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             cause = "doubles hold no more digits, the ends are nearly conjugate, or the action's terms cancel"
             reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here: {cause}"
             hint = "Try a looser tolerance, or a method of higher degree, with fewer intervals and less roundoff"
-            change = graph.softest(level.solution.unknowns, level.solution.data)[1]
+            change = graph.smallest_curvature(level.solution.unknowns, level.solution.data)[1]
             hint = ". ".join(filter(None, (hint, open_direction(self.graphs.problem, level.polynomial, change, ""))))
             raise self.stopped(reason, level, floor, hint)
         return floor
@@ -280,12 +280,12 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
                     print(f"{name}: no path, {spent}")
             else:
-                way = first.solution.report
-                if way == path.solver and not (failures and way == NEWTON):
+                report = first.solution.report
+                if report == path.solver and not (failures and report == NEWTON):
                     return path
-                return replace(path, solver=f"{path.solver}; first path by {name if way == NEWTON else way}")
+                return replace(path, solver=f"{path.solver}; first path by {name if report == NEWTON else report}")
         conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
-        raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another way found nothing
+        raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another strategy found nothing
 
     def intermediate_path(self, graphs: GraphCache, guess: PiecewisePolynomial) -> CriticalPoint:
         """Find a path of a homotopy to a loose tolerance, on a mesh that resolves it."""

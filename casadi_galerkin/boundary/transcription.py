@@ -151,7 +151,7 @@ class Transcription(BoundaryGraph):
         if wrong is not None:
             raise ConvergenceError(wrong, Path(path), solution.residual, solution.iterations)
         self.refuse_conjugate(point)
-        if self.numbering.stretched:  # the duration asked for was a guess
+        if self.numbering.free_duration:  # the duration asked for was a guess
             problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
         variations = SecondVariation(self, problem, path)
         return Trajectory(
@@ -227,7 +227,7 @@ class SecondVariation:
         return error_between_ends(self._graph(), self._path)
 
     def smallest(self) -> float | None:
-        """Smallest second variation relative to the sizes of its terms; see `softest`.  None at a kink of L in x."""
+        """Smallest second variation over the sizes of its terms, see `smallest_curvature`; None at a kink of L in x."""
         return None if self._kinked else smallest_second_variation(*self._at_path(self._graph()))
 
     def negative(self) -> int | None:

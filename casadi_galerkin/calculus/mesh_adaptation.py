@@ -100,9 +100,9 @@ def largest_difference(path: PiecewisePolynomial, other: PiecewisePolynomial) ->
 def spread_over(
     mesh: np.ndarray, cumulated: np.ndarray, intervals: int, breakpoints: tuple[float, ...] = ()
 ) -> np.ndarray:
-    """Joints of intervals with equal shares of a density, of which `cumulated` (N + 1,) is the integral over a mesh.
+    """Joints of intervals with equal integrals of a density, of which `cumulated` (N + 1,) is the integral over a mesh.
 
-    Breakpoints are joints, and the shares are equal between two of them.
+    Breakpoints are joints, and they are equal between two of them.
     """
     fixed = np.array([mesh[0], *breakpoints, mesh[-1]])
     edges = np.interp(fixed, mesh, cumulated)

@@ -118,7 +118,7 @@ class ChainEmbedding:
         common = {"parameters": chain.parameters}
         at_end = {"x": d, "velocity": dm, **common, "time": 1, "sizes": dm}
         both = {f"{name}{k}": at_end[name] for k in (0, 1) for name in ("x", "velocity")} | {**common, "time": 1}
-        when = {"duration": 1, **common, "begin": 1, "share": 1}
+        when = {"duration": 1, **common, "begin": 1, "fraction": 1}
         at_point = {"x": d, "slope": d, "controls": chain.controls, **when, "part": 1, "sizes": dm}
         at_node = {"x": d, "impulse": constraints, **when, "sizes": dm}
         crossing = {"x": d, "velocity": dm, **when, "sizes": dm}
@@ -176,8 +176,8 @@ class ChainEmbedding:
             ]
         return sparse(triplets, (self.inputs[-1].last, self.chain.size))
 
-    def _times_and_parameters(self, place: PlaceLayout, interval: np.ndarray, share: np.ndarray) -> list[Triplet]:
-        """Entries of A for times, parameters and S at K places at the fractions `share` of their intervals."""
+    def _times_and_parameters(self, place: PlaceLayout, interval: np.ndarray, fraction: np.ndarray) -> list[Triplet]:
+        """Entries of A for times, parameters and S at K places at the fractions `fraction` of their intervals."""
         f, phases = self.chain.fields, self.chain.phases[interval, None]
         earlier = np.arange(f["durations"].shape[1]) < phases
         return [
@@ -185,8 +185,8 @@ class ChainEmbedding:
             (place.row("parameters"), f["parameters"][interval], 1.0),
             (place.row("begin"), f["begin"], 1.0),
             (place.row("begin"), f["durations"][interval], earlier.astype(float)),
-            (place.row("share"), f["left"][interval][:, None], 1.0),
-            (place.row("share"), f["part"][interval][:, None], share[:, None]),
+            (place.row("fraction"), f["left"][interval][:, None], 1.0),
+            (place.row("fraction"), f["part"][interval][:, None], fraction[:, None]),
             (place.row("sizes"), f["sizes"], 1.0),
         ]
 

@@ -28,7 +28,7 @@ from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.problems.control_problem import ControlProblem
 
-RESTING = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
+ROUNDOFF_ONLY = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
 # part of the cost of a change as large as the path itself above which the cost measures its own errors: the cost of a
 # path that follows a curve exactly is that of its errors, which falls with any mesh
 LEAST_COST = 1e-6
@@ -210,9 +210,9 @@ class ControlGraph:
         # The terms of a component at rest are only roundoff of its slopes, which is measured by the sizes of the terms
         # that cancel in the slopes.  The sizes of other components do not include these.
         moving, canceled = (largest_of(sizes, chain.kinds) for sizes in terms)
-        resting = np.isfinite(canceled) & (moving <= RESTING * canceled)
+        at_rest = np.isfinite(canceled) & (moving <= ROUNDOFF_ONLY * canceled)
         sizes = np.fmax(moving, canceled)
-        sizes[chain.motions] = np.where(resting, canceled, moving)[chain.motions]
+        sizes[chain.motions] = np.where(at_rest, canceled, moving)[chain.motions]
         arriving = arriving.reshape(-1, chain.dimension).T
         size = max(abs(cost.item()), LEAST_COST * of_changes.item())
         return Report(cost.item(), size, action.item(), equations, sizes, slope, hamiltonian, arriving)

@@ -42,8 +42,8 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
-STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
-LEFT_OPEN = (
+STARTS_TIME_FRACTION = 0.5  # part of the time limit after which no further start begins
+HARDLY_DETERMINED = (
     "The cost hardly depends on the path: give a cost_tol in place of tol, add a small cost of the control, or leave "
     "out a waypoint at a free time that asks for nothing"
 )
@@ -75,7 +75,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
     found: ControlTrajectory | None = None  # the last path
     known: TwoComparisons | None = None  # the last error estimate, or None where there was none
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
-    left_open = False  # whether what the solver leaves was the largest error of the last level
+    solver_error_prevails = False  # whether the remaining solver error was the largest error of the last level
     guess: Guess | None = None  # with which the refinement began
 
     def __init__(
@@ -164,16 +164,18 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         return self.scaled(detail.mesh(tol, joints), detail.better)
 
     def check_meshes_help(self, detail: TwoComparisons) -> None:
-        """Stop where no mesh reduces the error: that of a step, or that which the solver leaves on two meshes."""
+        """Stop where no mesh reduces the error: that of a step, or the remaining solver error on two meshes."""
         least = max(self.tol, detail.change)
-        if detail.unseen_step ** (2 if self.of_cost else 1) > least:
-            steps = detail.path.between_points.unseen_steps
+        if detail.step_in_place ** (2 if self.of_cost else 1) > least:
+            steps = detail.path.between_points.steps_in_place
             hint = f"At t = {steps.times[np.argmax(steps.sizes)]:.6g} {STEP}"
             raise self.stopped("no mesh takes away the error of a step", *self.best, hint)
         left = detail.path.solver_error
-        before, self.left_open = self.left_open, left > least and not self.of_cost
-        if before and self.left_open:
-            raise self.stopped(f"the solver leaves the path open by {left:.0e} of its size", *self.best, LEFT_OPEN)
+        before, self.solver_error_prevails = self.solver_error_prevails, left > least and not self.of_cost
+        if before and self.solver_error_prevails:
+            raise self.stopped(
+                f"the remaining solver error of x is {left:.0e} of its size", *self.best, HARDLY_DETERMINED
+            )
 
     def solve_on(self, mesh: np.ndarray, level: ControlTrajectory) -> ControlTrajectory:
         """Solve from the better path or, where none is found from there, from the first guess on a finer mesh."""
@@ -216,7 +218,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
             guess = replace(guess, problem=with_joined_phases(guess.problem))
         self.guess = guess
         try:
-            with until(self.began + STARTS_TIME_SHARE * self.limits.seconds):
+            with until(self.began + STARTS_TIME_FRACTION * self.limits.seconds):
                 optima, summary = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
         except ConvergenceError as failure:
             if self.out_of_time():
@@ -247,7 +249,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
 
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
-        self.known, self.cost_known, self.left_open = None, math.inf, False
+        self.known, self.cost_known, self.solver_error_prevails = None, math.inf, False
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)

@@ -150,8 +150,8 @@ def pointwise_terms(problem: ControlProblem, embedding: ChainEmbedding, mapping:
 
 
 def _at_points(problem: ControlProblem, *inputs: Any) -> Terms:
-    x, slope, u, duration, p, begin, share, part, sizes = inputs
-    t, h = begin + duration * share, duration * part
+    x, slope, u, duration, p, begin, fraction, part, sizes = inputs
+    t, h = begin + duration * fraction, duration * part
     mechanical, others = slice(problem.mechanical), slice(problem.mechanical, None)
     state = (t, x, slope / h, u, *p)
     action = pulled_back(problem.lagrangian, t, h, x, slope, *p)
@@ -181,15 +181,15 @@ def _at_both_ends(problem: ControlProblem, *inputs: Any, conditions: ca.Function
 
 
 def _at_nodes(problem: ControlProblem, *inputs: Any) -> Terms:
-    x, impulse, duration, p, begin, share, sizes = inputs
+    x, impulse, duration, p, begin, fraction, sizes = inputs
     assert problem.constraint is not None, "there are such places only with a constraint"
-    g = problem.constraint(begin + duration * share, x, *p)
+    g = problem.constraint(begin + duration * fraction, x, *p)
     return {"rows": ca.vertcat(g, ca.mtimes(ca.jacobian(g, x).T, impulse) / sizes)}
 
 
 def _at_crossing(problem: ControlProblem, *inputs: Any, crossing: Crossing) -> Terms:
-    x, v, duration, p, begin, share, sizes = inputs
-    t, before = begin + duration * share, (x, _filled(v, x))
+    x, v, duration, p, begin, fraction, sizes = inputs
+    t, before = begin + duration * fraction, (x, _filled(v, x))
     after = before if crossing.jump is None else crossing.jump(*before, *p)
     rows = [after[0], *(_momentum(problem, t, place, velocity, p) / sizes for place, velocity in (before, after))]
     if crossing.condition is not None:

@@ -44,8 +44,8 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
-WILD = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
-UNMOVED = 1e-5  # part of the largest terms on the straight line below which those of a component do not count
+LARGEST_TERMS_RATIO = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
+LEAST_TERMS = 1e-5  # part of the largest terms on the straight line below which those of a component do not count
 SHORTEST_STEP = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
@@ -174,9 +174,9 @@ class ControlTranscription:
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
 
-        def attempt(way: Solver, at: Guess | None, longer: float = 1.0) -> ControlTrajectory:
+        def attempt(by: Solver, at: Guess | None, longer: float = 1.0) -> ControlTrajectory:
             begun = self.starting_point(problem, calculus, at, longer)
-            return self._solved(way, problem, calculus.mesh, begun, verbose, began)
+            return self._solved(by, problem, calculus.mesh, begun, verbose, began)
 
         attempts, other = [("from the guess", partial(attempt, solver, guess))], solver
         if solver.name == fatrop.name:  # which stalls more easily
@@ -218,8 +218,8 @@ class ControlTranscription:
         chain = self.chain
         bounds = self.bounds if problem is self.problem else bounds_of(problem, chain)
         unknowns, data = chain.pack(start.values)
-        way = self._kept_program(solver, bool(start.duals), verbose)
-        optimum = optimize(way, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
+        program = self._kept_program(solver, bool(start.duals), verbose)
+        optimum = optimize(program, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
         if optimum.status == INVALID:
             refuse_not_finite(problem, self.graph, unknowns, data, mesh)
         values = chain.unpack(optimum.unknowns, data)
@@ -293,16 +293,18 @@ class ControlTranscription:
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
         values = first_values(problem, chain, calculus, guess, near, longer)
-        wild = guess is not None and near is None  # or noisy; the straight line is not
+        unrelated = guess is not None and near is None  # no earlier answer: it may be noisy
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
             refuse_not_finite(problem, self.graph, *chain.pack(values), calculus.mesh)
         largest = report.sizes.copy()
-        if wild:
+        if unrelated:
             straight = first_values(problem, chain, calculus, None, None)
             line = self.graph.report(*chain.pack(straight)).sizes
-            line[chain.motions] = _significant(line[chain.motions], UNMOVED)
-            largest = np.where((line > TOLERANCE) & np.isfinite(line), np.fmin(WILD * line, largest), largest)
+            line[chain.motions] = _significant(line[chain.motions], LEAST_TERMS)
+            largest = np.where(
+                (line > TOLERANCE) & np.isfinite(line), np.fmin(LARGEST_TERMS_RATIO * line, largest), largest
+            )
         values["sizes"] = or_one(_significant(largest[chain.motions], TOLERANCE))
         largest[chain.motions] /= values["sizes"]
         momentum = -report.equations[chain.departures] if near is None else near.momentum[: chain.mechanical].T
@@ -339,11 +341,11 @@ class ControlTranscription:
         return np.append(marks[phases] + values["durations"][phases] * values["left"], marks[-1])
 
     def _path_multipliers(self, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath | None:
-        """Multipliers of the path constraints as functions of time: those of the points over their shares of time."""
+        """Multipliers of the path constraints as functions of time: those of the points over their steps of time."""
         if not self.chain.path_constraints:
             return None
-        shares = np.multiply.outer(np.diff(joints), self.method.element.weights)
-        values = multipliers[self.chain.rows["path"]] / shares[:, :, None]
+        times = np.multiply.outer(np.diff(joints), self.method.element.weights)
+        values = multipliers[self.chain.rows["path"]] / times[:, :, None]
         return self._over_time(joints, self.method.element.points, values)
 
     def _over_time(self, joints: np.ndarray, points: np.ndarray, values: np.ndarray) -> ControlPath:

@@ -106,7 +106,7 @@ def refuse_not_finite(
     chain, points = graph.chain, graph.embedding.points
     seen = (graph.embedding.matrix @ np.concatenate((unknowns, data))).full().ravel()
     at = {name: seen[points.row(name)].T for name in points.rows}
-    times, v = (at["begin"] + at["duration"] * at["share"]).ravel(), at["slope"] / (at["duration"] * at["part"])
+    times, v = (at["begin"] + at["duration"] * at["fraction"]).ravel(), at["slope"] / (at["duration"] * at["part"])
     p = [] if problem.parameters is None else [chain.unpack(unknowns, data)["parameters"]]
     found = _undefined_at(problem, times, at["x"], v, at["controls"], p)
     if found is not None:

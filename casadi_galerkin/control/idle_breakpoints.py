@@ -28,8 +28,8 @@ def with_joined_phases(problem: ControlProblem) -> ControlProblem:
     if problem.duration_bounds is None:
         return problem
     earliest, latest = (np.cumsum(side)[:-1] for side in problem.duration_bounds)
-    happening = [t for t, _ in (*problem.waypoints, *problem.jumps)]
-    kept = np.flatnonzero((earliest == latest) | np.isin(problem.breakpoints, happening))
+    with_event = [t for t, _ in (*problem.waypoints, *problem.jumps)]
+    kept = np.flatnonzero((earliest == latest) | np.isin(problem.breakpoints, with_event))
     low, high = (tuple(np.add.reduceat(side, [0, *kept + 1]).tolist()) for side in problem.duration_bounds)
     return with_values(problem, breakpoints=tuple(problem.breakpoints[k] for k in kept), duration_bounds=(low, high))
 
@@ -63,7 +63,7 @@ def with_parted_phases(path: ControlTrajectory, problem: ControlProblem) -> Cont
 def switch_times(path: ControlTrajectory) -> np.ndarray:
     """Times at which controls jump from one of their bounds to the other, increasing.
 
-    The value at a quadrature point between the two gives the time within the share of time that the point represents.
+    The value at a quadrature point between the two gives the time within its part of the interval.
     """
     low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
     u, ends = path.control.values, np.append(0.0, np.cumsum(path.method.quadrature.weights)).clip(0, 1)

@@ -105,7 +105,7 @@ def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -
     return guess if np.max(np.abs(joints - calculus.mesh)) <= same else None
 
 
-def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
+def _zero_or_middle(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
     """Zero where it is inside of the bounds; else their middle, or the finite one."""
     return np.array(
         [
@@ -118,7 +118,7 @@ def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
 def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None) -> np.ndarray:
     """Node values (N m + 1, d) that meet the fixed ends and are within bounds."""
     if guess is None:
-        values = np.full((len(calculus.node_times), problem.dimension), _resting(*problem.position_bounds))
+        values = np.full((len(calculus.node_times), problem.dimension), _zero_or_middle(*problem.position_bounds))
     else:
         values = guess_values(guess, calculus, problem.dimension).T
     ends = problem.given_positions
@@ -131,7 +131,7 @@ def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus,
     """Controls (N, points, n) within bounds, from a callable of time or an array of values at these points."""
     if guess is None:
         bounds = problem.control_bounds
-        first = _resting(*bounds) if problem.mechanical else np.clip(0.0, *bounds)
+        first = _zero_or_middle(*bounds) if problem.mechanical else np.clip(0.0, *bounds)
         return np.full((chain.intervals, len(chain.control_times), chain.controls), first)
     name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)
     shape = (chain.controls, len(times))

@@ -127,7 +127,7 @@ class SecondOrder:
 def _newton_step(graph: ControlGraph, at: Optimum) -> np.ndarray:
     """The step δ, and the effect on it of rounding of the terms of its equations, with random signs; (2, unknowns).
 
-    `EPS` on the diagonal regularizes undetermined unknowns, such as the shares of two redundant controls.  It is not
+    `EPS` on the diagonal regularizes undetermined unknowns, such as two redundant controls.  It is not
     added for states, which follow from the others: there it would outweigh the curvature of a cost that hardly depends
     on the path.
     """
@@ -141,8 +141,8 @@ def _newton_step(graph: ControlGraph, at: Optimum) -> np.ndarray:
     added = EPS * np.append(np.where(np.isin(entries, states), 0.0, 1.0), -np.ones(len(rows)))
     hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, at.multipliers)[1][entries, entries]
     across = graph.jacobian(at.unknowns, at.data)[1][rows, entries]
-    softness = to_limits[rows] / np.maximum(np.abs(at.multipliers[rows]), TINY)
-    diagonal = np.append(_stiffness(at.bound_multipliers, to_bounds)[entries], -softness)
+    compliance = to_limits[rows] / np.maximum(np.abs(at.multipliers[rows]), TINY)
+    diagonal = np.append(_stiffness(at.bound_multipliers, to_bounds)[entries], -compliance)
     matrix = ca.blockcat([[hessian, across.T], [across, ca.DM(len(rows), len(rows))]]) + ca.diag(ca.DM(diagonal))
     gaps = np.where(low == high, high - report.equations, np.copysign(to_limits, at.multipliers))
     sizes = [largest_of(np.abs(a), kind)[kind] for a, kind in ((at.unknowns, alike), (at.multipliers, kinds))]

@@ -90,21 +90,22 @@ class TwoComparisons:
         """Relative errors of the cost, and of all: of cost, durations and x.
 
         Both are at least what positions exceed their bounds by between the points, the effect of jumps in time, and the
-        rounding of times; a step that no derivative shows is an error of the path.  What the solver leaves is added.
+        rounding of times; a step that no derivative shows is an error of the path.  The remaining solver error is
+        added.
         """
         path, between = self.path, self.path.between_points
         rounding = 0.0 if path.problem.autonomous else EPS * np.max(np.abs(path.t)) / np.ptp(path.t)
-        least = float(max(np.max(between.unseen_excess), self.of_cost(np.sum(between.jump_effects)), rounding))
+        least = float(max(np.max(between.common_excess), self.of_cost(np.sum(between.jump_effects)), rounding))
         of_cost = self.of_cost(path.unseen_change)
         of_path = max(of_cost, path.solver_error)
-        return max(self.cost_error, least, self.unseen_step**2) + of_cost, max(
-            self.change, least, self.unseen_step
+        return max(self.cost_error, least, self.step_in_place**2) + of_cost, max(
+            self.change, least, self.step_in_place
         ) + of_path
 
     @cached_property
-    def unseen_step(self) -> float:
+    def step_in_place(self) -> float:
         """Largest step of the integrand that no derivative shows, times duration over cost."""
-        return self.of_cost(np.max(self.path.between_points.unseen_steps.sizes) * np.ptp(self.path.t))
+        return self.of_cost(np.max(self.path.between_points.steps_in_place.sizes) * np.ptp(self.path.t))
 
     def of_cost(self, change: float) -> float:
         """A change of the cost relative to its size; zero where the costs cannot be told from zero."""
@@ -137,11 +138,11 @@ class TwoComparisons:
         errors, smooth = beyond_degree(self.better)
         errors *= self.change / max(np.max(errors), TINY)
         parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
-        parts = np.maximum(parts, parts_wanted(between.unseen_excess, KINK_ORDER, tol))
+        parts = np.maximum(parts, parts_wanted(between.common_excess, KINK_ORDER, tol))
         parts = np.maximum(parts, parts_wanted(self.of_cost(1.0) * between.jump_effects, 1, tol))
         cumulated = np.append(0.0, np.cumsum(np.clip(parts, LEAST_PARTS, MOST_PARTS)))
-        shares = np.diff(np.interp([mesh[0], *fixed, mesh[-1]], mesh, cumulated))
-        return spread_over(mesh, cumulated, max(FEWEST, int(np.ceil(shares).sum())), fixed)
+        counts = np.diff(np.interp([mesh[0], *fixed, mesh[-1]], mesh, cumulated))
+        return spread_over(mesh, cumulated, max(FEWEST, int(np.ceil(counts).sum())), fixed)
 
 
 def compared(path: ControlTrajectory, solve: Callable[[Galerkin, np.ndarray], ControlTrajectory]) -> TwoComparisons:

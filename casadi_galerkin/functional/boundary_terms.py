@@ -6,9 +6,9 @@ The terms are
     Λ_a·g(t_a, x_a)                                      a constraint, at every node, but not where all that it
                                                          depends on is given
 
-with multipliers μ and Λ_a.  Λ_a is an impulse, the multiplier λ of the continuous problem times a share of time.  The
-phase of a periodic path of given energy is fixed by the end condition n·(x_0 - c) = 0, that x_0 is in the plane through
-c with normal n.
+with multipliers μ and Λ_a.  Λ_a is an impulse, the multiplier λ of the continuous problem times a part of the step.
+The phase of a periodic path of given energy is fixed by the end condition n·(x_0 - c) = 0, that x_0 is in the plane
+through c with normal n.
 
 A given velocity gives the momentum ∂L/∂v of its component at that end.  If this momentum depends on given velocities
 only, the term is that of a given momentum.  If it also depends on velocities that are not given, these are further
@@ -132,12 +132,12 @@ class _Statement:
 
     def numbering(self, method: Galerkin, intervals: int) -> Numbering:
         """The numbering of the unknowns on a number of intervals, with the multipliers of all terms."""
-        d, stretched = self.problem.dimension, self.problem.energy is not None
+        d, free_duration = self.problem.dimension, self.problem.energy is not None
         constrained = self._constrained(intervals * method.degree).items()
         multipliers = sum(len(rows) * len(nodes) for rows, nodes in constrained)
         multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.imposed))
         ends = self.fixed[0], self.fixed[1], tuple(self.imposed[0]), tuple(self.imposed[1])
-        return Numbering(method, intervals, d, *ends, self.problem.periodic, multipliers, stretched)
+        return Numbering(method, intervals, d, *ends, self.problem.periodic, multipliers, free_duration)
 
     def _constrained(self, last: int) -> dict[tuple[int, ...], list[int]]:
         """Constraints, and the numbers of the nodes, up to the last one, at which they are imposed, in groups.

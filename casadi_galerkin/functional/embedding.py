@@ -87,7 +87,7 @@ def embedded(numbering: Numbering) -> Embedded:
     *values, mesh = symbols.values()
     u = ca.vertcat(*values)
     joints, steps, duration = mesh, mesh[1:] - mesh[:-1], mesh[-1] - mesh[0]
-    if numbering.stretched:  # the steps do not depend on the time of the start
+    if numbering.free_duration:  # the steps do not depend on the time of the start
         stretch = ca.exp(symbols["unknowns"][-1])
         joints, steps, duration = mesh[0] + stretch * (mesh - mesh[0]), stretch * steps, stretch * duration
     t = ca.repmat(joints[:-1], 1, len(points)) + _times(steps, points[None, :])

@@ -175,7 +175,7 @@ class Functional:
         """All equations, from those of the integral."""
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             total += term.gathered(self.numbering, rows)
-        if self.numbering.stretched:
+        if self.numbering.free_duration:
             total = ca.vertcat(total[: self.numbering.free - 1, :], self._stretch[0])
         return total
 
@@ -195,7 +195,7 @@ class Functional:
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
         for term in self.terms:
             sizes += term.gathered(self.numbering, term.sizes(*self._arguments_of_terms))
-        if self.numbering.stretched:
+        if self.numbering.free_duration:
             sizes = ca.vertcat(sizes[: self.numbering.free - 1, :], self._sizes_of_energies)
         action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), action)
         return {"action": action, "momentum": momenta, "gradient": self._with_terms(gradient), "terms": sizes}
@@ -214,7 +214,7 @@ class Functional:
     def _further(self) -> ca.MX | None:
         """The part of ∇²S of the further terms and of the free duration; None where there are none."""
         added = [term.matrix(self.numbering, at[2]) for term, at in zip(self.terms, self._terms, strict=True)]
-        if self.numbering.stretched:
+        if self.numbering.free_duration:
             column, last = self._stretch[1], self.numbering.free - 1
             added.append(ca.horzcat(ca.MX(last + 1, last), column))
             added.append(ca.vertcat(ca.MX(last, last + 1), ca.horzcat(column[:last, :].T, ca.MX(1, 1))))
@@ -262,15 +262,15 @@ class Functional:
         return {"inertia": inertia}, {"matrix": self._assembled(weighted)[0]}
 
     def _curvature(self) -> Parts:
-        ways = {name: ca.MX.sym(name, self.numbering.free) for name in ("left", "right")}
+        directions = {name: ca.MX.sym(name, self.numbering.free) for name in ("left", "right")}
         fixed, embed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1), embedding(self.numbering)
-        changes = [ca.vertcat(*embed.call([ca.vertcat(way, fixed)])) for way in ways.values()]
+        changes = [ca.vertcat(*embed.call([ca.vertcat(direction, fixed)])) for direction in directions.values()]
         mapped = one_by_one(self.pointwise.curvature, self.numbering.points, self._shared)
         signed, positive = (summed(self.numbering, values) for values in mapped.call([*self._at, *changes]))
         if self._further is not None:
-            signed += ca.bilin(self._further, *ways.values())
-            positive += ca.bilin(ca.fabs(self._further), *map(ca.fabs, ways.values()))
-        return ways, {"signed": signed, "positive": positive}
+            signed += ca.bilin(self._further, *directions.values())
+            positive += ca.bilin(ca.fabs(self._further), *map(ca.fabs, directions.values()))
+        return directions, {"signed": signed, "positive": positive}
 
     def _change_by(self, *names: str) -> Parts:
         """The change of ∇S along a direction of each of these symbols."""

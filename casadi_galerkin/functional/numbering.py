@@ -32,7 +32,8 @@ class Numbering:
     imposed_start, imposed_end : those of them that are unknowns nevertheless, which an equation of a term fixes
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
-    stretched : bool, whether the duration is unknown; the last of ξ is the logarithm of its ratio to that of the mesh
+    free_duration : bool, whether the duration is unknown; the last of ξ is the logarithm of its ratio to that of the
+    mesh
     """
 
     method: Galerkin
@@ -44,7 +45,7 @@ class Numbering:
     imposed_end: tuple[int, ...]
     periodic: bool
     multipliers: int
-    stretched: bool
+    free_duration: bool
 
     @cached_property
     def of_ends(self) -> np.ndarray:
@@ -97,7 +98,7 @@ class Numbering:
     @cached_property
     def free(self) -> int:
         """Number of unknowns, the length of ξ."""
-        return self.positions + self.multipliers + self.stretched
+        return self.positions + self.multipliers + self.free_duration
 
     @property
     def size(self) -> int:
@@ -129,7 +130,7 @@ def kept(numbering: Numbering) -> Numbering:
 def joints_of(numbering: Numbering, unknowns: np.ndarray, data: Data) -> np.ndarray:
     """Joints of a path, (N + 1,): those of its mesh, stretched where the duration is free."""
     mesh = data[2]
-    if not numbering.stretched:
+    if not numbering.free_duration:
         return mesh
     with np.errstate(over="ignore", invalid="ignore"):  # a solver that fails may leave any number
         return mesh[0] + np.exp(unknowns[-1]) * (mesh - mesh[0])

@@ -87,9 +87,9 @@ def singular_mass(problem: Any) -> Iterator[str]:
     start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))
     rise, size, given = end - start, component_sizes(np.array([start, end]).T), [problem.parameters or ()]
     bend, transform = size * np.cos(1.0 + np.arange(len(start))), legendre_transform(problem.lagrangian)
-    for share in GENERIC:
-        t, x = first + share * (last - first), start + share * (rise + bend)
-        v = (rise + (1 - share) * bend) / (last - first)
+    for fraction in GENERIC:
+        t, x = first + fraction * (last - first), start + fraction * (rise + bend)
+        v = (rise + (1 - fraction) * bend) / (last - first)
         try:
             mass = transform(t, x, v, *given[: transform.n_in() - 3])[1].full()[:count, :count]
         except RuntimeError:  # a Function within L may fail

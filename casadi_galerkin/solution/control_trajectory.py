@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SMALL = 1e-6  # size over that of the largest component below which a component may be an error of the solver only
 REPORTED = 1e-6  # change of the cost, over its size, from which the summary tells of it; optima have less than 1e-9
-REMAINDER_FACTOR = 10.0  # size over the error that the solver leaves up to which a component counts as zero
+REMAINDER_FACTOR = 10.0  # size over the remaining solver error up to which a component counts as zero
 STEP = (
     "a callable steps, as x or v pass some value or at a given time while durations or parameters are free, and no "
     "derivative shows it: smooth the step, or state what is before and behind it as phases"
@@ -128,7 +128,7 @@ class ControlTrajectory(Trajectory):
 
     @cached_property
     def _remaining_error(self) -> RemainingError:
-        """The errors that the solver has left."""
+        """The remaining solver errors."""
         return self.find_remaining_error()
 
     def estimate_error(self) -> float:
@@ -404,25 +404,27 @@ class ControlTrajectory(Trajectory):
         return "not yet optimal" if self.cost_error is None else "optimal but for the error below"
 
     def _undetermined(self) -> list[str]:
-        """Lines on large errors that the solver has left in the cost, or in a path on which the cost hardly depends."""
+        """Lines on large remaining solver errors in the cost, or in a path on which the cost hardly depends."""
         lines = []
         if self._not_optimal():
             words = f"the cost may still change by {self.unseen_change:.1e}; the solver's tolerances are absolute"
             lines.append(f"  NOT DETERMINED: {words}")
         if self.solver_error > UNRESOLVED:
-            words = f"the solver leaves x open by {self.solver_error:.0e} of its size; the cost hardly depends on it"
+            words = (
+                f"the remaining solver error of x is {self.solver_error:.0e} of its size; the cost hardly depends on it"
+            )
             lines.append(f"  NOT DETERMINED: {words}")
         return lines
 
     def _unbalanced(self) -> list[str]:
         """A line on a Hamiltonian that varies where it should not, as where the cost jumps at a value of a control."""
-        share = self.hamiltonian_variation / max(abs(self.cost), self.between_points.cost_of_forces, TINY)
-        words = f"the Hamiltonian, which should be constant, varies by {share:.0e} of the cost; take more intervals"
-        return [f"  NOT RESOLVED: {words}"] if share > UNBALANCED else []
+        fraction = self.hamiltonian_variation / max(abs(self.cost), self.between_points.cost_of_forces, TINY)
+        words = f"the Hamiltonian, which should be constant, varies by {fraction:.0e} of the cost; take more intervals"
+        return [f"  NOT RESOLVED: {words}"] if fraction > UNBALANCED else []
 
     def _stepping(self) -> list[str]:
         """A line on a step of a callable that the solver has not seen."""
-        sizes, times = self.between_points.unseen_steps.sizes, self.between_points.unseen_steps.times
+        sizes, times = self.between_points.steps_in_place.sizes, self.between_points.steps_in_place.times
         if not np.max(sizes) * np.ptp(self.t) > REPORTED * self.cost_size:
             return []
         return [f"  NOT RESOLVED: at t = {times[np.argmax(sizes)]:.6g} {STEP}"]

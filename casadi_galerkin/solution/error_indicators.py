@@ -42,10 +42,12 @@ from casadi_galerkin.problems.legendre_transform import scaled_masses
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.jump_detection import JumpDetector
 
-ENERGY_SHARE = 0.3  # share of the tolerance that the energy imbalance may have; smooth paths were measured below 0.25
+ENERGY_FRACTION = (
+    0.3  # fraction of the tolerance that the energy imbalance may have; smooth paths were measured below 0.25
+)
 # accepted misfit of L between points, over its size; at a pole it is larger, at all degrees to 14
 LAGRANGIAN_MISFIT = 0.05
-FORCE_JUMP_SHARE = 0.1  # share of the tolerance that changes of a momentum by jumps of a force may have
+FORCE_JUMP_FRACTION = 0.1  # fraction of the tolerance that changes of a momentum by jumps of a force may have
 STEP_RATIO = 2.0  # change along an interval, over what derivatives explain, above which L or ∂L/∂x steps there
 BEYOND = 1e-3  # how far places reach beyond a joint, over the distance of the nearest quadrature point from it
 ROUNDING_FACTOR = 10.0  # factor on roundoff floors: an imbalance below it may be rounding alone
@@ -74,12 +76,12 @@ def energy_imbalance(conserved: np.ndarray, scale: np.ndarray, floor: np.ndarray
 
 
 def scaled_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> dict[str, np.ndarray]:
-    """The error indicators by name, each over its share of the tolerance; arguments as for `error_indicators`."""
+    """The error indicators by name, each over its fraction of the tolerance; arguments as for `error_indicators`."""
     balance, unresolved, jumps = error_indicators(problem, path, momentum)
     return {
-        "balance of energy": balance / ENERGY_SHARE,
+        "balance of energy": balance / ENERGY_FRACTION,
         "Lagrangian between points": unresolved,
-        "force": jumps / FORCE_JUMP_SHARE,
+        "force": jumps / FORCE_JUMP_FRACTION,
     }
 
 
@@ -129,8 +131,8 @@ def _jumps_of_force(
     if problem.force is None:
         return np.zeros(len(path.mesh) - 1)
     detector, steps = JumpDetector(path.mesh, gauss(path.degree)), np.diff(path.mesh)
-    blurred = _rounding(tuple(path.nodes.tolist())) * np.max(np.abs(path.local), axis=2) / steps
-    given = *(path(detector.times, nu) for nu in range(3)), np.repeat(blurred, len(detector.parts), axis=1)
+    rounding_effect = _rounding(tuple(path.nodes.tolist())) * np.max(np.abs(path.local), axis=2) / steps
+    given = *(path(detector.times, nu) for nu in range(3)), np.repeat(rounding_effect, len(detector.parts), axis=1)
     along = _at_places(problem, _force_along(problem.force), detector.times, *given)
     forces, rates, rounded = (a.T for a in along)
     sizes = np.where(np.isfinite(forces), np.abs(forces), 0.0)
@@ -328,9 +330,9 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     places = np.max(np.abs(at.path.local), axis=2)  # largest value on an interval, which determines its roundoff
     rounding = _rounding(tuple(at.path.nodes.tolist()))
     before = np.maximum(np.arange(len(at.joints)) - 1, 0)  # a momentum belongs to the interval before its joint
-    blurred = rounding * np.sum(places[:, before] * pushed, axis=0) / at.steps[before]
+    rounding_effect = rounding * np.sum(places[:, before] * pushed, axis=0) / at.steps[before]
     pulled = np.sum(np.abs(at.x[:, at.joints] * work[at.joints].T), axis=0) / h
-    floor = ROUNDING_FACTOR * EPS * (blurred + pulled + scale)
+    floor = ROUNDING_FACTOR * EPS * (rounding_effect + pulled + scale)
 
     supplied = at.steps * at.integral(work_of_constraint(at.problem, at.times, at.x, at.v))
     if at.pointwise.supplied is not None:

@@ -1,10 +1,10 @@
 """Detection of jumps of a function of time, by comparing its values with the integral of its derivative.
 
-Each quadrature point represents a share of the interval, as long as its weight.  Over this share, from a to b,
+Each quadrature point represents a part of the interval, as long as its weight.  Over this part, from a to b,
 
     f(b) - f(a) = ∫ df/dt dt
 
-holds where f is smooth; the difference of both sides is a jump.  Since its time within the share is unknown, the
+holds where f is smooth; the difference of both sides is a jump.  Since its time within the part is unknown, the
 quadrature of f may have an error of the jump times b - a.  Two degrees whose points lie on the same sides of the jump
 make the same error, which their difference does not show.
 """
@@ -19,11 +19,11 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 
 MARGIN = 1e-9  # part of an interval beside a joint that is left out, because a jump there is one at the joint
-INNER = gauss(4)  # rule for df/dt over a share
+INNER = gauss(4)  # rule for df/dt over a part
 
 
 class JumpDetector:
-    """Sampling of a function at K times, with both ends, in the share of time of each of the r points of a rule.
+    """Sampling of a function at K times, with both ends, in the part of the interval of each of the r points of a rule.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 
-CROWDED = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
+SHORT_INTERVAL = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
 # distance over the duration within which a breakpoint may be the cause of an error that stays
 BREAKPOINT_DISTANCE = 1e-2
 HINT = "Try a looser tolerance, a guess nearer to the path, or higher limits"
@@ -131,7 +131,7 @@ class Refinement(ABC, Generic[Level, Detail]):
         LimitReached
             with the best path attached
         """
-        smallest, number, fruitless = np.inf, 0, 0
+        smallest, number, without_improvement = np.inf, 0, 0
         self.best = level, np.inf
         with progress("refinement", unit="level") as advance:
             while True:
@@ -141,15 +141,15 @@ class Refinement(ABC, Generic[Level, Detail]):
                 if error <= self.tol:
                     return level, error
                 at_floor, nearer = smallest / 2 < error < self.roundoff_level, error < smallest
-                fruitless = 0 if nearer else fruitless + 1
+                without_improvement = 0 if nearer else without_improvement + 1
                 if nearer or smallest == np.inf:
                     self.best = level, estimate.error
                 smallest = min(smallest, error)
                 if at_floor:
                     raise self.stopped(f"{self.tol:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
                 self.check_time()
-                if fruitless >= self.persistence:
-                    raise self.stopped(f"{fruitless} levels in a row came no nearer", *self.best, NO_NEARER)
+                if without_improvement >= self.persistence:
+                    raise self.stopped(f"{without_improvement} levels in a row came no nearer", *self.best, NO_NEARER)
                 if number + 1 >= self.limits.levels:
                     words = "level was" if self.limits.levels == 1 else "levels were"
                     raise self.stopped(f"{self.limits.levels:g} {words} not enough", *self.best)
@@ -170,8 +170,8 @@ class Refinement(ABC, Generic[Level, Detail]):
         if few and excess[i] > 1:
             return
         needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
-        crowded = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], duration)}"
-        source = f"estimated from {estimate.source}{crowded if steps[i] < CROWDED * duration else ''}"
+        shortest = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], duration)}"
+        source = f"estimated from {estimate.source}{shortest if steps[i] < SHORT_INTERVAL * duration else ''}"
         reason = f"the mesh would need {needs} for an error of {estimate.error:.1e}, {source}"
         raise self.stopped(reason, *self.best)
 

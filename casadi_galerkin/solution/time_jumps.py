@@ -6,7 +6,7 @@ With the path, the controls and the multipliers found, the cost is ∫ I dt to f
 
 As a function of u it is the Hamiltonian of the optimization, up to a constant: an optimal control minimizes it.
 
-Each quadrature point represents a share of the time, from a to b (`jump_detection`).  With z fixed at its values at
+Each quadrature point represents a part of the time, from a to b (`jump_detection`).  With z fixed at its values at
 the point, I fulfils
 
     I(b, z) - I(a, z) = ∫ ∂I/∂t dt
@@ -32,7 +32,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import STEPPING, entries_within
 from casadi_galerkin.solution.jump_detection import MARGIN, JumpDetector
 
-HALVINGS = 26  # of a share of time, which leave 1e-8 of it
+HALVINGS = 26  # of a part of the interval, which leave 1e-8 of it
 
 
 def integrand(problem: ControlProblem) -> ca.Function:
@@ -56,7 +56,7 @@ def jumps_in_time(function: ca.Function, mesh: np.ndarray, rule: Quadrature, z: 
     ----------
     function : (t, z) -> I, ∂I/∂t and others
     mesh : (N + 1,)
-    rule : of quadrature, whose points have the shares
+    rule : of quadrature, whose points have the parts
     z : values at the points, (rows, N r) each
     """
     detector = JumpDetector(mesh, rule)
@@ -99,7 +99,7 @@ class Steps:
     times: np.ndarray
 
 
-def unseen_steps(
+def steps_in_place(
     function: ca.Function, path: PiecewisePolynomial, rule: Quadrature, z: Sequence[np.ndarray], moving: np.ndarray
 ) -> Steps:
     """Steps of an `integrand` as x and v move along a path, and of those in time the ones that move with it.

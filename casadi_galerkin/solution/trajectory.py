@@ -136,8 +136,9 @@ class Trajectory(Path):
         """Smallest second variation relative to the sizes of its terms; computed when first used.
 
         It is zero at a conjugate point, and shows how well the ends determine the path: errors are magnified by its
-        inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  It is None for
-        a path that was found step by step, for one that was optimized, and where ∂L/∂x or the force steps on the path.
+        inverse.  Under a force it is that of the equations' Jacobian, between its directions of smallest curvature.  It
+        is None for a path that was found step by step, for one that was optimized, and where ∂L/∂x or the force steps
+        on the path.
         """
         return None if self.find_regularity is None else self.find_regularity()
 

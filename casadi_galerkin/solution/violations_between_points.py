@@ -22,7 +22,7 @@ from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.time_jumps import Steps, integrand, jumps_in_time, may_step, moving_phases, unseen_steps
+from casadi_galerkin.solution.time_jumps import Steps, integrand, jumps_in_time, may_step, moving_phases, steps_in_place
 from casadi_galerkin.solution.trajectory import Trajectory
 
 FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
@@ -103,7 +103,7 @@ class BetweenPoints:
         return np.max(self._relative_excess, axis=0)
 
     @property
-    def unseen_excess(self) -> np.ndarray:
+    def common_excess(self) -> np.ndarray:
         """The same where comparisons with other paths may not show it; (N,).
 
         It is that of positions, and of path constraints on positions alone or that no quadrature point near by meets.
@@ -194,11 +194,11 @@ class BetweenPoints:
         return jumps_in_time(self.integrand, joints, rule, self.along(np.array(rule.points))[1:])
 
     @cached_property
-    def unseen_steps(self) -> Steps:
+    def steps_in_place(self) -> Steps:
         """Largest steps of the integrand that no derivative shows, on each interval."""
         problem, joints, rule = self.problem, self.path.t, self.path.method.quadrature
         if not may_step(problem):
             return Steps(np.zeros(len(joints) - 1), joints[:-1])
         moving = moving_phases(problem)[np.searchsorted(problem.breakpoints, joints[:-1], side="right")]
         z = self.along(np.array(rule.points))[1:]
-        return unseen_steps(self.integrand, self.path.polynomial, rule, z, moving)
+        return steps_in_place(self.integrand, self.path.polynomial, rule, z, moving)

@@ -2,7 +2,7 @@
 
     F(ξ, s) = ∇S(ξ, data(s)) - s r = 0,    data(s) = (1 - s) data_0 + s data_1
 
-The data are all that is given: ends, times, parameters, an energy, the share of a force; r is a load that holds a path
+The data are all that is given: ends, times, parameters, an energy, a factor on a force; r is a load that holds a path
 in place.  With the unit tangent ż at a point and a prediction along it, the next point solves F = 0 and
 <ż, z - z_predicted> = 0 by Newton's method, with two solves of the one matrix ∂F/∂ξ in each iteration (H. B. Keller,
 "Numerical solution of bifurcation and nonlinear eigenvalue problems", 1977).  A step is accepted where chord and
@@ -94,7 +94,7 @@ class Curve(Generic[At]):
         self.change = tuple(b - a for a, b in zip(self.first, self.target, strict=True))
 
     def data(self, s: float) -> Data:
-        """The data at a share s, exact at both ends, and where they do not change."""
+        """The data at a fraction s, exact at both ends, and where they do not change."""
         if self.load is not None:
             return self.first
         near, rest = (self.first, s) if s < 0.5 else (self.target, s - 1)
@@ -190,11 +190,11 @@ class Curve(Generic[At]):
         A change that is odd where y is not, or even, does not show in that, but in yᵀ∂F/∂ξ |y|.  It is infinite where
         neither changes, as along a family of paths.
         """
-        factor, data, ways = 1.0, self.data(z[-1]), (null, np.abs(null))
+        factor, data, others = 1.0, self.data(z[-1]), (null, np.abs(null))
         with self.stationarity.linearization() as at:
 
             def forms(unknowns: np.ndarray) -> np.ndarray:
-                return np.array([at.evaluate("curvature", unknowns, data, null, way) for way in ways])[:, :, 0]
+                return np.array([at.evaluate("curvature", unknowns, data, null, other) for other in others])[:, :, 0]
 
             here = forms(z[:-1])[:, 0]
             for _ in range(int(-np.log2(EPS))):
@@ -237,7 +237,9 @@ class Curve(Generic[At]):
                 right = np.linalg.solve(matrix, np.eye(n + 2)[:, n:])[: n + 1]
                 right /= np.linalg.norm(right, axis=0)
                 left, g = np.split(np.linalg.solve(matrix.T, np.eye(n + 2)[n + 1]), [n])
-                second = [columns * self.second_derivative(z, rows * left, columns * way) for way in right.T]
+                second = [
+                    columns * self.second_derivative(z, rows * left, columns * direction) for direction in right.T
+                ]
                 matrix[n:, : n + 1] = -np.array(second)
                 step = np.linalg.solve(matrix, -np.concatenate((rows * residual + mu * border[:, 0], g)))
             except np.linalg.LinAlgError:
@@ -252,9 +254,9 @@ class Curve(Generic[At]):
             border, corner = left[:, None] / np.linalg.norm(left), np.linalg.qr(right)[0]
         return None
 
-    def second_derivative(self, z: np.ndarray, left: np.ndarray, way: np.ndarray) -> np.ndarray:
+    def second_derivative(self, z: np.ndarray, left: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """ψ·F_zz times a direction, by central differences; (n + 1,)."""
-        move = EPS ** (1 / 3) * way
+        move = EPS ** (1 / 3) * direction
         return left @ (self.jacobian(z + move)[1] - self.jacobian(z - move)[1]) / (2 * EPS ** (1 / 3))
 
     def _crossing(self, z: np.ndarray, tangent: np.ndarray, left: np.ndarray, right: np.ndarray) -> Crossing:
@@ -266,9 +268,9 @@ class Curve(Generic[At]):
         if not np.isfinite(reach):
             return Crossing(z, null[:-1], None)
         basis = np.column_stack((reach * null, rest / rest[-1]))
-        form = np.array([self.second_derivative(z, left, way) for way in basis.T]) @ basis
-        share = (tangent - tangent[-1] * basis[:, 1])[:-1] @ null[:-1] / (reach * null[:-1] @ null[:-1])
-        along = np.array([share, tangent[-1]]) / np.hypot(share, tangent[-1])
+        form = np.array([self.second_derivative(z, left, column) for column in basis.T]) @ basis
+        fraction = (tangent - tangent[-1] * basis[:, 1])[:-1] @ null[:-1] / (reach * null[:-1] @ null[:-1])
+        along = np.array([fraction, tangent[-1]]) / np.hypot(fraction, tangent[-1])
         across = np.array([-along[1], along[0]])
         mixed, own = along @ form @ across, across @ form @ across
         if not abs(mixed) > SIMPLE * np.max(np.abs(form)):
@@ -278,7 +280,7 @@ class Curve(Generic[At]):
 
 
 class LoadedCurve(Curve[Point]):
-    """The curve of paths that a share s of a load holds in place, through one of them; it meets paths where s = 0.
+    """The curve of paths that a fraction s of a load holds in place, through one of them; it meets paths where s = 0.
 
     Parameters
     ----------
@@ -302,8 +304,8 @@ class LoadedCurve(Curve[Point]):
         for point in self.walk(Point(z, self.unit(side * self.follow)), FIRST_STEP, LOADS):
             before, z = z, point.z
             if before[-1] * z[-1] < 0:
-                share = before[-1] / (before[-1] - z[-1])
-                yield before[:-1] + share * (z - before)[:-1]
+                fraction = before[-1] / (before[-1] - z[-1])
+                yield before[:-1] + fraction * (z - before)[:-1]
             if self.length(z - self.start) > FARTHEST:
                 return
 

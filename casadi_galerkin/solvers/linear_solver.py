@@ -57,8 +57,8 @@ class LinearSolver:
         if not count:
             return matrix
         conditions = matrix[positions : positions + count, :positions]
-        soft = REGULARIZATION * ca.mtimes(conditions**2, 1 / ca.fabs(ca.diag(matrix)[:positions]))
-        return matrix - ca.diag(ca.vertcat(ca.DM(positions, 1), soft, ca.DM(self.numbering.stretched, 1)))
+        shift = REGULARIZATION * ca.mtimes(conditions**2, 1 / ca.fabs(ca.diag(matrix)[:positions]))
+        return matrix - ca.diag(ca.vertcat(ca.DM(positions, 1), shift, ca.DM(self.numbering.free_duration, 1)))
 
     @cached_property
     def _ldl(self) -> ca.Linsol:
@@ -68,11 +68,11 @@ class LinearSolver:
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """Solution of ∇²S Y = -B, refined once but where LDLᵀ has nothing to regularize."""
         if method != "ldl":
-            solve = self._bordered if self.numbering.stretched else partial(solve_scaled, refined=True)
+            solve = self._bordered if self.numbering.free_duration else partial(solve_scaled, refined=True)
             return -solve(matrix, rhs, range(self.numbering.positions), method)
-        softened = self._regularized(matrix)
-        y = -self._ldl.solve(softened, rhs)
-        return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
+        regularized = self._regularized(matrix)
+        y = -self._ldl.solve(regularized, rhs)
+        return y - self._ldl.solve(regularized, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
 
     def _bordered(self, matrix: ca.MX, rhs: ca.MX, moving: range, method: str) -> ca.MX:
         """Solution of ∇²S Y = B by elimination of a free duration, whose full row would make all factors of QR full."""
@@ -102,11 +102,11 @@ class LinearSolver:
         return self._kept[key]
 
     def newton_step(self, method: str) -> ca.Function:
-        """(matrix, gradient, u) -> (step, softest_direction, sizes, norm, path_length, step_length, defect).
+        """(matrix, gradient, u) -> (step, smallest_curvature_direction, sizes, norm, path_length, step_length, defect).
 
-        The Newton step; the solution for a generic right-hand side, which is near the softest direction; the sizes that
-        the unknowns are measured by; the largest entry of the step relative to these; and the lengths of path and step,
-        max_d √K_d |x_d|, where a step that changes a free duration by a factor e is as long as the path.
+        The Newton step; the solution for a generic right-hand side, which is near the direction of smallest curvature;
+        the sizes that the unknowns are measured by; the largest entry of the step relative to these; and the lengths of
+        path and step, max_d √K_d |x_d|, where a step that changes a free duration by a factor e is as long as the path.
         """
         key = ("newton_step", method)
         if key not in self._kept:
@@ -114,15 +114,20 @@ class LinearSolver:
             matrix, gradient, u = inputs.values()
             scale = self.largest(u)
             scaled_rhs = self._generic_rhs / self._measure(scale)
-            step, softest = ca.horzsplit(self._solution(method, matrix, ca.horzcat(gradient, scaled_rhs)))
+            step, smallest_curvature = ca.horzsplit(self._solution(method, matrix, ca.horzcat(gradient, scaled_rhs)))
             whole = ca.vertcat(step, ca.MX.zeros(self.numbering.size - self.numbering.free))
             moved, stiffness = self.largest(whole), self._stiffness(matrix)
             reached = ca.fmax(scale, moved)
             sizes = self._measure(ca.fmax(reached, HALF_DIGITS * _mattering(stiffness, reached)))
             length, step_length = (ca.norm_inf(stiffness * a) for a in (scale, moved))
-            if self.numbering.stretched:
+            if self.numbering.free_duration:
                 step_length = ca.fmax(step_length, length * ca.fabs(step[-1]))
-            outputs = {"step": step, "softest_direction": softest, "sizes": sizes, "norm": ca.norm_inf(step / sizes)}
+            outputs = {
+                "step": step,
+                "smallest_curvature_direction": smallest_curvature,
+                "sizes": sizes,
+                "norm": ca.norm_inf(step / sizes),
+            }
             outputs |= {"path_length": length, "step_length": step_length}
             outputs["defect"] = self._defect(matrix, step, gradient)
             self._kept[key] = self._function("newton_step", inputs, outputs)
@@ -176,7 +181,7 @@ class LinearSolver:
 
         The size of a multiplier is infinite: the equations are linear in it, so that it is right where the path is.
         """
-        further = ca.DM([np.inf] * self.numbering.multipliers + [1.0] * self.numbering.stretched)
+        further = ca.DM([np.inf] * self.numbering.multipliers + [1.0] * self.numbering.free_duration)
         return self._expanded(ca.if_else(scale < ZERO, 1.0, scale), ca.MX(further))
 
     @cached_property
@@ -215,13 +220,13 @@ class LinearSolver:
 
     @cached_property
     def verification(self) -> ca.Function:
-        """(gradient, matrix, u, terms, softest_direction) -> (residual, regularity, importance).
+        """(gradient, matrix, u, terms, smallest_curvature_direction) -> (residual, regularity, importance).
 
-        The largest entry of ∇S over its roundoff floor, and yᵀ∇²S y for y = `softest_direction` over a bound of
-        |y|ᵀ|∇²S||y|.  A regularity of zero or NaN tells nothing: where a component has a single unknown, its one term
-        in the Hessian has nothing to be compared with.
+        The largest entry of ∇S over its roundoff floor, and yᵀ∇²S y for y = `smallest_curvature_direction` over a
+        bound of |y|ᵀ|∇²S||y|.  A regularity of zero or NaN tells nothing: where a component has a single unknown, its
+        one term in the Hessian has nothing to be compared with.
         """
-        inputs = self.symbols("gradient", "matrix", "u", "terms", "softest_direction")
+        inputs = self.symbols("gradient", "matrix", "u", "terms", "smallest_curvature_direction")
         gradient, matrix, u, terms, y = inputs.values()
         floor, scale, product, importance = self.floor(matrix, u, terms)
         ratios = gradient / floor
@@ -237,12 +242,12 @@ class LinearSolver:
         return self._function("verification", inputs, outputs)
 
     @cached_property
-    def softened(self) -> ca.Function:
+    def regularized(self) -> ca.Function:
         """∇²S with regularized conditions and its whole diagonal, for the inertia of LDLᵀ."""
         inputs = self.symbols("matrix")
-        softened = self._regularized(inputs["matrix"])
-        whole = softened.sparsity() + ca.Sparsity.diag(self.numbering.free)
-        return self._function("softened", inputs, {"softened": ca.project(softened, whole)})
+        regularized = self._regularized(inputs["matrix"])
+        whole = regularized.sparsity() + ca.Sparsity.diag(self.numbering.free)
+        return self._function("regularized", inputs, {"regularized": ca.project(regularized, whole)})
 
 
 def _mattering(stiffness: ca.MX, scale: ca.MX) -> ca.MX:
@@ -284,5 +289,5 @@ def of_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ..
 
 def linear_solver(functional: Functional) -> LinearSolver:
     """The linear algebra of a functional; the same for all that have no further terms and the same sparsity."""
-    plain = not (functional.terms or functional.numbering.stretched)
+    plain = not (functional.terms or functional.numbering.free_duration)
     return of_pattern(*functional.pattern_key) if plain else LinearSolver(functional.numbering, functional.sparsity)

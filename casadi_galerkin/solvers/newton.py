@@ -23,7 +23,7 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.second_variation import SINGULAR, softest
+from casadi_galerkin.solvers.second_variation import SINGULAR, smallest_curvature
 from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearization, Stationarity, joined
 
 NEWTON = "Newton"  # its report
@@ -58,10 +58,10 @@ class Solution:
     residual : largest residual over its own roundoff floor
     report : what was used to find it
     action, momentum : S, and the momenta at the joints, component fastest
-    regularity : second variation along a direction near the softest one, over a bound of the sum of its terms, for the
-        last iterate's Hessian, less what the last step may have changed; times the size of the least component over
-        that at which it would matter.  Rounding changes the path by about eps over that; zero, a negative number or NaN
-        tells nothing
+    regularity : second variation along a direction near that of smallest curvature, over a bound of the sum of its
+        terms, for the last iterate's Hessian, less what the last step may have changed; times the size of the least
+        component over that at which it would matter.  Rounding changes the path by about eps over that; zero, a
+        negative number or NaN tells nothing
     """
 
     unknowns: np.ndarray
@@ -220,7 +220,7 @@ def _line_search(
 
 def _failed(linear: Linearization, at: Iterate, data: Data, iteration: int, reason: str) -> SolveFailure:
     """Report why there is no solution: a singular Hessian, whose steps are anything, or else another reason."""
-    if softest(linear, at.unknowns, data)[1] < SINGULAR:
+    if smallest_curvature(linear, at.unknowns, data)[1] < SINGULAR:
         return SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
     return SolveFailure(reason, at.unknowns, iteration)
 
@@ -230,9 +230,9 @@ def verified(
 ) -> Solution | None:
     """Judge the residuals at x by their roundoff floors: a solution, or None.
 
-    Hessian and softest direction are those of the last `newton_step`, at x or before a step that changed the second
-    variation by up to `drift` of its terms.  Components that are `ROUNDED` are set to zero, with their ends, if that is
-    a solution as well.
+    Hessian and direction of smallest curvature are those of the last `newton_step`, at x or before a step that changed
+    the second variation by up to `drift` of its terms.  Components that are `ROUNDED` are set to zero, with their ends,
+    if that is a solution as well.
     """
     action, momentum, residual, regularity, importance = linear.verification(x, data)
     if not residual <= ACCEPTED:

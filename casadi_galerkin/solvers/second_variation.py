@@ -17,7 +17,7 @@ HIDDEN = 10 * EPS  # rounding of zᵀ∇²S y by that of the entries, over |z|�
 AGREED = 1e-3  # least terms at the points over the assembled |yᵀ∇²S y|; families at most 7e-7, regular paths 1 - 1e-5
 
 
-def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, float]:
+def smallest_curvature(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, float]:
     """Direction of the smallest second variation relative to the sizes of its terms, and that; 0 at a conjugate point.
 
     Three inverse iterations, weighted by the sizes of the Hessian's rows, find the direction y; the pointwise sums
@@ -26,7 +26,7 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
     cancellation, so that the quotient says nothing: they are then far smaller than yᵀ∇²S y from the assembled Hessian.
     `at` is left with the Hessian at `unknowns`.
 
-    With a force the matrix is not symmetric: y is taken against the softest direction of the transposed matrix.
+    With a force the matrix is not symmetric: y is taken against the same direction of the transposed matrix.
     """
     if len(unknowns) == 0:
         return unknowns, np.inf  # nothing can vary
@@ -58,9 +58,9 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
 
 
 def smallest_second_variation(stationarity: Stationarity, unknowns: np.ndarray, data: Data) -> float:
-    """Smallest second variation relative to the sizes of its terms, as `softest` finds it."""
+    """Smallest second variation relative to the sizes of its terms, as `smallest_curvature` finds it."""
     with stationarity.linearization() as at:
-        return softest(at, unknowns, data)[1]
+        return smallest_curvature(at, unknowns, data)[1]
 
 
 def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data: Data) -> int | None:
@@ -81,6 +81,6 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
         at.relinearize(unknowns, data)
         if not np.isfinite(at.matrix).all():
             return None
-        softened = linear.softened(ca.DM(linear.sparsity, at.matrix.tolist()))
-        factors = at.keep("inertia", lambda: factors_of(softened.sparsity()))  # a Linsol keeps what it factored last
-        return negative_pivots(softened, factors) - linear.numbering.multipliers  # each condition adds one
+        regularized = linear.regularized(ca.DM(linear.sparsity, at.matrix.tolist()))
+        factors = at.keep("inertia", lambda: factors_of(regularized.sparsity()))  # a Linsol keeps what it factored last
+        return negative_pivots(regularized, factors) - linear.numbering.multipliers  # each condition adds one

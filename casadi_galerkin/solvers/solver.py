@@ -45,7 +45,7 @@ class Solver:
     `fatrop` takes any rule of quadrature, but no `end_conditions` on the start, and no multipliers to start warm from.
     It stalls where `ipopt` does not, as where a position touches its bound in a point, or where equations depend on one
     another.  It needs units in which positions and controls are of order one, 1e-5 to 1e4.  Far from these, and now and
-    then elsewhere (6 of 15 meshes of a hanging chain, one of 40 wild guesses of an acrobot), it runs for ever: no
+    then elsewhere (6 of 15 meshes of a hanging chain, one of 40 random guesses of an acrobot), it runs for ever: no
     iteration ends, so that neither a limit nor an interrupt stops it.  Another mesh or guess may do, or the options
     ``linsol_lu_fact_tol=5e-5, delta_c_stripe=1e-2``.  Where it stops without an answer, `ipopt` solves, and the report
     says so.
@@ -111,12 +111,14 @@ class Solver:
 
 def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
     """The solvers that are tried in turn where Newton's method finds nothing from a guess, by name."""
-    ways: dict[str, SolverLike] = {}
+    strategies: dict[str, SolverLike] = {}
     if stationarity.variational:
-        ways["IPOPT on the action"] = partial(interior_point.critical_point, minimize=True, max_iter=RESCUE_ITERATIONS)
+        strategies["IPOPT on the action"] = partial(
+            interior_point.critical_point, minimize=True, max_iter=RESCUE_ITERATIONS
+        )
     if stationarity.functional.numbering.positions:
-        ways["taking away the load of the guess"] = remove_load
-    return ways
+        strategies["taking away the load of the guess"] = remove_load
+    return strategies
 
 
 def _newton(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any) -> Solution:

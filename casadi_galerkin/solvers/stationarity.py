@@ -1,8 +1,8 @@
 """The stationarity conditions ∇S(ξ) = 0 of one discrete functional, and the three Functions that Newton's method needs.
 
-    newton_step      ξ, data                                 ->  ∇S, ∇²S; step, softest_direction, sizes, norm
-    simplified_step  ξ, data, ∇²S, step, sizes, damping      ->  simplified, length, nonlinearity
-    verification     ξ, data, ∇²S, softest_direction         ->  S, momenta, residual, regularity
+    newton_step      ξ, data                           ->  ∇S, ∇²S; step, smallest_curvature_direction, sizes, norm
+    simplified_step  ξ, data, ∇²S, step, sizes, damping               ->  simplified, length, nonlinearity
+    verification     ξ, data, ∇²S, smallest_curvature_direction       ->  S, momenta, residual, regularity
 
 In each, a Function of the functional's graph evaluates, and a Function of the `LinearSolver` solves or measures.
 A `LinearSolver` serves all Lagrangians whose ∇²S has the same sparsity.  A `Stationarity` holds the functional and the
@@ -43,7 +43,7 @@ class Iterate(NamedTuple):
     norm : largest entry of the step relative to the sizes; NaN where the step is not finite
     length, step_length : lengths of path and step, see `LinearSolver.newton_step`
     matrix : nonzeros of ∇²S at the point
-    softest_direction : solution of the linear equations with ∇²S for a generic right-hand side
+    smallest_curvature_direction : solution of the linear equations with ∇²S for a generic right-hand side
     """
 
     unknowns: np.ndarray
@@ -53,7 +53,7 @@ class Iterate(NamedTuple):
     length: float
     step_length: float
     matrix: np.ndarray
-    softest_direction: np.ndarray
+    smallest_curvature_direction: np.ndarray
 
 
 class Stationarity:
@@ -75,7 +75,7 @@ class Stationarity:
     def __init__(self, functional: Functional) -> None:
         self.functional = functional
         self.linear_solver = linear_solver(functional)
-        self.variational = functional.symmetric and not functional.numbering.stretched
+        self.variational = functional.symmetric and not functional.numbering.free_duration
         self.linear_methods = METHODS if functional.pointwise.kinetic and functional.symmetric else METHODS[1:]
         self._workspaces = ObjectPool(lambda: Linearization(self))
 
@@ -128,9 +128,9 @@ class Linearization:
     ∇S (`gradient`) is that of the last point at which a method evaluated it: `newton_step`, `relinearize`,
     `simplified_step`, `terms`, `rounding_effects` and `verification` do.  ∇²S (`matrix`) is that of the last
     `newton_step` or `relinearize`, the weighted one of the last `weight_inertia`, or the one restored by `return_to`;
-    the other methods keep it.  The softest direction is that of the last `newton_step` or `return_to`.  `solve`,
-    `refined` and `rounding_effects` solve with the present ∇²S, and `simplified_step` with the present ∇²S and a new
-    ∇S.  `evaluate` has arrays of its own.
+    the other methods keep it.  The direction of smallest curvature is that of the last `newton_step` or `return_to`.
+    `solve`, `refined` and `rounding_effects` solve with the present ∇²S, and `simplified_step` with the present ∇²S and
+    a new ∇S.  `evaluate` has arrays of its own.
 
     Attributes
     ----------
@@ -213,14 +213,17 @@ class Linearization:
         self._evaluate("derivatives", unknowns, data)
         self._solve(self.stationarity.linear_solver.newton_step, "step", "norm")
         arrays = self._arrays
-        matrix, softest_direction = arrays["matrix"].copy(), arrays["softest_direction"].copy()
+        matrix, smallest_curvature_direction = arrays["matrix"].copy(), arrays["smallest_curvature_direction"].copy()
         step, sizes = arrays["step"].copy(), arrays["sizes"].copy()
         norm, length, step_length = (arrays[name].item() for name in ("norm", "path_length", "step_length"))
-        return Iterate(unknowns, step, sizes, norm, length, step_length, matrix, softest_direction)
+        return Iterate(unknowns, step, sizes, norm, length, step_length, matrix, smallest_curvature_direction)
 
     def return_to(self, at: Iterate) -> None:
-        """Restore ∇²S and the softest direction of an earlier iterate."""
-        self._arrays["matrix"][:], self._arrays["softest_direction"][:] = at.matrix, at.softest_direction
+        """Restore ∇²S and the direction of smallest curvature of an earlier iterate."""
+        self._arrays["matrix"][:], self._arrays["smallest_curvature_direction"][:] = (
+            at.matrix,
+            at.smallest_curvature_direction,
+        )
 
     def relinearize(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Evaluate ∇S and ∇²S at a point; returns a copy of ∇S."""

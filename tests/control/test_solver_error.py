@@ -134,7 +134,7 @@ def test_a_path_that_the_cost_leaves_open_is_said_to_be_not_determined(method):
         )
         return repr(cg.solve(problem, method, 6))
 
-    assert "NOT DETERMINED: the solver leaves x open by" in summary(0.0)
+    assert "NOT DETERMINED: the remaining solver error of x is" in summary(0.0)
     assert "NOT DETERMINED" not in summary(1.0)
 
 

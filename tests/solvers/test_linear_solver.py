@@ -1,4 +1,4 @@
-"""The linear algebra of a Newton iteration: LDLᵀ of softened conditions against QR."""
+"""The linear algebra of a Newton iteration: LDLᵀ of regularized conditions against QR."""
 
 import casadi as ca
 import numpy as np
@@ -37,7 +37,7 @@ def two_rods():
 @pytest.mark.parametrize(
     ("case", "intervals"), [(two_rods(), 6), (two_rods(), 100), (chain(20), 6)], ids=["short", "long", "20 rods"]
 )
-def test_a_step_with_softened_conditions_is_that_of_qr(case, intervals):
+def test_a_step_with_regularized_conditions_is_that_of_qr(case, intervals):
     problem, guess = case
     transcription = cg.transcribe(problem, cg.Galerkin(4), intervals)
     data = transcription.data(transcription.mesh)

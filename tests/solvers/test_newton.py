@@ -129,7 +129,7 @@ def test_components_of_very_different_size_are_solved_together():
 
 
 def test_ends_that_are_conjugate_fail_without_a_warning():
-    """The end is the start turned by the oscillator's own phase: the softest direction is of any size."""
+    """The end is the start turned by the oscillator's own phase: the direction of smallest curvature is of any size."""
     c, s = np.cos(np.pi / 3), np.sin(np.pi / 3)
     turned = cg.BoundaryProblem(
         lambda t, x, v: (ca.sumsqr(v) - ca.sumsqr(x)) / 2 - x[0] * ca.cos(3 * t) - x[1] * ca.sin(3 * t),
