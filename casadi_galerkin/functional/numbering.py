@@ -32,8 +32,8 @@ class Numbering:
     imposed_start, imposed_end : those of them that are unknowns nevertheless, which an equation of a term fixes
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
-    free_duration : bool, whether the duration is unknown; the last of ξ is the logarithm of its ratio to that of the
-    mesh
+    free_duration : bool, whether the duration is unknown; the last of ξ is then the logarithm of its ratio to that of
+        the mesh
     """
 
     method: Galerkin

@@ -135,8 +135,8 @@ class ControlTrajectory(Trajectory):
         """Estimate the relative error of x, and that of the cost; kept as `error_estimate` and `cost_error`.
 
         The path is compared with two of a higher degree, on the same mesh and on an interlaced one: the errors are
-        twice the larger differences, and at least what positions exceed their bounds by between the points, and what
-        the solver leaves.  They are infinite where one of the two is not found.  With `hold` they are those of the
+        twice the larger differences, and at least what positions exceed their bounds by between the points, and the
+        remaining solver error.  They are infinite where one of the two is not found.  With `hold` they are those of the
         motion under controls that are held on these intervals.
         """
         if self.error_estimate is None:
