@@ -1,9 +1,10 @@
 """The solvers by name: each takes the stationarity conditions and a guess, and returns what was verified, or raises.
 
 `newton`, the default, is Newton's method.  Where it fails, IPOPT minimizes the action (long pendulum swings: 10
-iterations where the stationarity conditions alone took 60 to 500), and Newton's method finishes from where IPOPT
-stopped.  At last the load is taken away that holds the guess in place (of 80 problems of stiff springs, whose paths are
-many and far from the straight line, it solved 36 of the 58 that were lost).
+iterations where the stationarity conditions alone took 60 to 500), or solves the equations where no action is to be
+minimized; Newton's method finishes from where IPOPT stopped.  At last the load is taken away that holds the guess in
+place (of 80 problems of stiff springs, whose paths are many and far from the straight line, it solved 36 of the 58 that
+were lost).
 """
 
 from __future__ import annotations
@@ -111,11 +112,9 @@ class Solver:
 
 def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
     """The solvers that are tried in turn where Newton's method finds nothing from a guess, by name."""
-    strategies: dict[str, SolverLike] = {}
-    if stationarity.variational:
-        strategies["IPOPT on the action"] = partial(
-            interior_point.critical_point, minimize=True, max_iter=RESCUE_ITERATIONS
-        )
+    action = stationarity.variational
+    ipopt = partial(interior_point.critical_point, minimize=action, max_iter=RESCUE_ITERATIONS)
+    strategies: dict[str, SolverLike] = {"IPOPT on the action" if action else "IPOPT": ipopt}
     if stationarity.functional.numbering.positions:
         strategies["taking away the load of the guess"] = remove_load
     return strategies
