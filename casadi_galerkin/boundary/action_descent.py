@@ -23,11 +23,11 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.deadline import seconds_left
 
-MESHES, STEPS = 80, 3  # largest number of meshes, and steps on each
-RELAXED = 1e-13  # predicted relative decrease of the action at which the descent ends
-MOST = 1e12  # largest inertia that is tried
-LEAP = 0.03  # longest step relative to the size of the path: longer ones may cross a singularity
-SQUEEZE = 0.5  # largest relative change of an interval in one step
+DESCENT_MESHES, STEPS_ON_A_MESH = 80, 3  # largest number of meshes, and steps on each
+LEAST_DECREASE = 1e-13  # predicted relative decrease of the action at which the descent ends
+LARGEST_INERTIA = 1e12  # largest inertia that is tried
+LONGEST_MOVE = 0.03  # longest step relative to the size of the path: longer ones may cross a singularity
+LARGEST_JOINT_MOVE = 0.5  # largest relative change of an interval in one step
 MOST_INTERVALS = 120  # largest number of intervals during a descent
 
 
@@ -48,9 +48,9 @@ def descend(
         if no step lowers the action, joints come too near to one another, or the time was up
     """
     inertia, fewest = 1.0, len(path.mesh) - 1
-    for _ in range(MESHES):
+    for _ in range(DESCENT_MESHES):
         transcription = transcribed(path.mesh)
-        for _ in range(STEPS):
+        for _ in range(STEPS_ON_A_MESH):
             before = path
             path, inertia = lowered(transcription, path, inertia)
         error = truncation_error(path)
@@ -100,12 +100,12 @@ def lowered(
 
         present = action(path)
         g = at.relinearize(unknowns, data)
-        while inertia <= MOST:
+        while inertia <= LARGEST_INERTIA:
             at.weight_inertia(unknowns, data, 1.0 + inertia)
             (step,) = at.solve(g)
             promised = -float(g @ step)
-            if np.max(np.abs(step) / sizes) <= LEAP and promised >= 0:
-                if promised <= RELAXED * abs(present):
+            if np.max(np.abs(step) / sizes) <= LONGEST_MOVE and promised >= 0:
+                if promised <= LEAST_DECREASE * abs(present):
                     return path, inertia
                 trial = transcription.emb(unknowns + step, data)
                 if action(trial) < present:
@@ -120,4 +120,6 @@ def retimed(path: PiecewisePolynomial, step: np.ndarray) -> PiecewisePolynomial:
     if not np.all(np.isfinite(step)):
         return path
     largest = float(np.max(np.abs(np.diff(step)) / np.diff(path.mesh)))
-    return PiecewisePolynomial(path.mesh + step * (SQUEEZE / max(largest, SQUEEZE)), path.nodes, path.values)
+    return PiecewisePolynomial(
+        path.mesh + step * (LARGEST_JOINT_MOVE / max(largest, LARGEST_JOINT_MOVE)), path.nodes, path.values
+    )

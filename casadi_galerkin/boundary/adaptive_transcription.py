@@ -35,7 +35,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.solver import Solver, newton
 
-STEPS = 1, 2, 4, 8  # numbers of steps in which the data of one path are moved to those of another
+DATA_STEPS = 1, 2, 4, 8  # numbers of steps in which the data of one path are moved to those of another
 
 
 class AdaptiveTranscription:
@@ -176,7 +176,9 @@ class AdaptiveTranscription:
             return self._indices[path]
 
         known_index = index(known.problem, known.polynomial)
-        *fewer, most = STEPS[:1] if graphs.problem.constraint else STEPS  # on the way ends may violate the constraint
+        *fewer, most = (
+            DATA_STEPS[:1] if graphs.problem.constraint else DATA_STEPS
+        )  # on the way ends may violate the constraint
         for steps in fewer:
             try:
                 point = self._moved(refinement, known, steps)

@@ -14,7 +14,15 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discretization
-from casadi_galerkin.boundary.several_paths import FINER, PATIENCE, SAME, SEED, Search, Symmetry, image
+from casadi_galerkin.boundary.several_paths import (
+    RESOLVED_BY,
+    SAME_PATH,
+    SEED,
+    SOLVES_WITHOUT_A_PATH,
+    Search,
+    Symmetry,
+    image,
+)
 from casadi_galerkin.boundary.transcription import GraphCache, Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
@@ -33,10 +41,13 @@ from casadi_galerkin.solvers.solver import newton
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SHOWN = 6  # paths in a repr
-PLACES = 8  # at which a period is checked
-FINE = 2  # factor on the intervals with which a refinement begins, for a search: with one, zigzags took the time
-CANDIDATE = Limits(intervals=500, seconds=20.0)  # of the refinement of one critical point, most of which end far below
+PATHS_SHOWN = 6  # paths in a repr
+PERIOD_CHECKS = 8  # at which a period is checked
+# factor on the intervals with which a refinement begins, for a search: with one, zigzags took the time
+SEARCH_INTERVALS_FACTOR = 2
+CANDIDATE_LIMITS = Limits(
+    intervals=500, seconds=20.0
+)  # of the refinement of one critical point, most of which end far below
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -100,18 +111,18 @@ class Paths(Pictured):
         """Tabulate the paths, and say how many were dropped and why the search ended."""
         count = len(self)
         lines = [f"Paths: {counted(count, 'stationary path')} in {counted(self.solves, 'solve')}; {self.stopped}"]
-        for path in self.trajectories[:SHOWN]:
+        for path in self.trajectories[:PATHS_SHOWN]:
             found = f"error {path.error_estimate:.0e}  {path.solver}"
             lines.append(f"  action {path.action:<18.12g} {index_in_words(path):15} {found}")
-        if count > SHOWN:
-            lines.append(f"  ... {count - SHOWN} more")
+        if count > PATHS_SHOWN:
+            lines.append(f"  ... {count - PATHS_SHOWN} more")
         if self.alternating_sum is not None:
             indices = [path.morse_index for path in self]
             found = sum((-1) ** index for index in indices if index is not None)
             missing = "" if found == self.alternating_sum else f", and not {self.alternating_sum}: some are missing"
             lines.append(f"  the sum of (-1)^index is {found}{missing}")
         if self.unresolved:
-            lines.append(f"  {self.unresolved} dropped that the mesh does not resolve; {FINER}")
+            lines.append(f"  {self.unresolved} dropped that the mesh does not resolve; {RESOLVED_BY}")
         if self.singular:
             lines.append(f"  {self.singular} dropped with a singular Hessian: a family of paths, or conjugate points")
         return "\n".join(lines)
@@ -182,7 +193,7 @@ def paths(
     else:
         method, joints = first_discretization(problem, check_tolerance(tol), method, intervals, mesh)
         if intervals is None and mesh is None:
-            joints = resized_mesh(joints, FINE * (len(joints) - 1), problem.breakpoints)
+            joints = resized_mesh(joints, SEARCH_INTERVALS_FACTOR * (len(joints) - 1), problem.breakpoints)
         graphs = GraphCache(problem)
         transcription, refine = graphs.transcription(method, joints), partial(_refined, graphs, tol, method)
     refuse_free_phase("paths", problem)
@@ -199,13 +210,15 @@ def paths(
                 raise
         searches.append(search)
         found = [path for each in searches for path in each.paths]
-        lately = sum(len(each.paths) for each in searches[-PATIENCE:])
-        if len(found) == count or (len(searches) >= PATIENCE and not lately):
+        lately = sum(len(each.paths) for each in searches[-SOLVES_WITHOUT_A_PATH:])
+        if len(found) == count or (len(searches) >= SOLVES_WITHOUT_A_PATH and not lately):
             break
     if not found:
         raise searches[0].no_path_error()
     reached = len(found) == count
-    stopped = f"stopped at count={count}" if reached else f"stopped after {PATIENCE} solves without a new one"
+    stopped = (
+        f"stopped at count={count}" if reached else f"stopped after {SOLVES_WITHOUT_A_PATH} solves without a new one"
+    )
     solves, unresolved, singular = (
         sum(getattr(each, name) for each in searches) for name in ("solves", "unresolved", "singular")
     )
@@ -216,7 +229,7 @@ def paths(
 def _refined(graphs: GraphCache, tol: float, method: Galerkin, point: CriticalPoint) -> Trajectory:
     """The path that a critical point of a first mesh becomes on finer ones."""
     of_problem = graphs.for_problem(point.problem)
-    return BoundaryRefinement(of_problem, tol, method, newton, CANDIDATE).resume(point)
+    return BoundaryRefinement(of_problem, tol, method, newton, CANDIDATE_LIMITS).resume(point)
 
 
 def _ends(problem: BoundaryProblem, lengths: np.ndarray) -> Iterator[list[float | None] | None]:
@@ -272,13 +285,13 @@ def _check_period(problem: BoundaryProblem, i: int, period: float) -> None:
         if function is None:
             continue
         of_ends = name.startswith("end")
-        for _ in range(PLACES):
+        for _ in range(PERIOD_CHECKS):
             here = [random.normal(size=function.size1_in(k)) for k in range(function.n_in())]
             there = [values.copy() for values in here]
             for k in (0, 1) if of_ends else (1,):
                 there[k][i] += period
             one, other = (np.array(function(*values)) for values in (here, there))
-            if np.any(np.abs(one - other) > SAME * (np.abs(one) + 1)):
+            if np.any(np.abs(one - other) > SAME_PATH * (np.abs(one) + 1)):
                 raise ValueError(
                     f"periods[{i}] = {period:g} is no period of the problem: its {name} is another one where x[{i}] is "
                     f"{period:g} larger"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Height = Callable[[Path], float]
 
-SHOWN = 7  # branches and branch points in a repr
+BRANCHES_SHOWN = 7  # branches and branch points in a repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,16 +195,16 @@ class Diagram:
     def __repr__(self) -> str:
         """Summarize all branches."""
         waiting = f", {self.waiting} more not followed" if self.waiting else ""
-        at = ", ".join(map(str, [point.parameters for point in self.branch_points[:SHOWN]]))
+        at = ", ".join(map(str, [point.parameters for point in self.branch_points[:BRANCHES_SHOWN]]))
         lines = [
             f"Diagram of {len(self)} branch{'es' * (len(self) != 1)}{waiting}",
             f"  {counted(len(self.branch_points), 'branch point')}{' at ' * bool(at)}{at}",
         ]
-        for branch in self.branches[:SHOWN]:
+        for branch in self.branches[:BRANCHES_SHOWN]:
             folded = f"; {counted(len(branch.folds), 'fold')}" if branch.folds else ""
             lines.append(f"  {repr(branch).splitlines()[0]}{folded}")
-        if len(self) > SHOWN:
-            lines.append(f"  ... {len(self) - SHOWN} more")
+        if len(self) > BRANCHES_SHOWN:
+            lines.append(f"  ... {len(self) - BRANCHES_SHOWN} more")
         return "\n".join(lines)
 
 

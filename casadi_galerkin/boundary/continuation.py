@@ -37,23 +37,26 @@ from casadi_galerkin.solvers.curve import Crossing, Curve, Point
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 
-PARAMETERS = 3  # their place among the data
-FIRST_STEP = 0.05  # arc length, in which the path is relative to how far the branch has led
-CROSSING_STEP = (
-    1e-3  # a shorter step may pass what is no simple branch point, instead of having jumped to a branch nearby
-)
+PARAMETERS_PLACE = 3  # their place among the data
+FIRST_BRANCH_STEP = 0.05  # arc length, in which the path is relative to how far the branch has led
+# a shorter step may pass what is no simple branch point, instead of having jumped to a branch nearby
+CROSSING_STEP = 1e-3
 CONVERGED_STEP = 1e-8  # last Newton step after which the next one is at roundoff
 # |ṡ| at a fold over its change between the points before and after it; the error of s is of the order of its square
 FOLD_TOLERANCE = 1e-8
 # least change of an unknown that counts: over its size, so that rounding leaves steps of CONVERGED_STEP, and over the
 # largest expected change, because a component may be zero up to rounding
-LEAST_OF_SIZE, LEAST_OF_ALL = 1e-5, 1e-7
-ROUNDED = 1e-12  # size of an unknown over its expected change, below which it counts as zero
-ITERATIONS = 20  # most iterations for a fold, whose tolerance rounding may prevent, or for a path, which may be zero
-SAME = 1e-5  # distance over the sizes of paths below which branch points are one: each is known up to rounding
-LOST = 0.01  # truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
-DENSE = 1000  # unknowns from which no determinant is computed, 0.1 s each: without an index no branch point is seen
-STEPS = 3000  # most steps along a branch, those that were too long included
+LEAST_CHANGE_OF_SIZE, LEAST_CHANGE_OF_LARGEST = 1e-5, 1e-7
+ZERO_UNKNOWN = 1e-12  # size of an unknown over its expected change, below which it counts as zero
+# most iterations for a fold, whose tolerance rounding may prevent, or for a path, which may be zero
+FOLD_ITERATIONS = 20
+# distance over the sizes of paths below which branch points are one: each is known up to rounding
+SAME_BRANCH_POINT = 1e-5
+# truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
+UNRESOLVED_FOLDS = 0.01
+# unknowns from which no determinant is computed, 0.1 s each: without an index no branch point is seen
+LARGEST_DETERMINANT = 1000
+BRANCH_STEPS = 3000  # most steps along a branch, those that were too long included
 
 
 @overload
@@ -203,7 +206,9 @@ class BranchFollower(Curve[PathPoint]):
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
         self.transcription = transcription
         data = transcription.data(transcription.mesh)
-        super().__init__(transcription.stationarity, data, (*data[:PARAMETERS], target, *data[PARAMETERS + 1 :]))
+        super().__init__(
+            transcription.stationarity, data, (*data[:PARAMETERS_PLACE], target, *data[PARAMETERS_PLACE + 1 :])
+        )
         # other rules may hold no longer where the branch turns back before
         check(self.problem(np.ones(1)), [singular_mass])
         self.weights = np.ones(transcription.numbering.free + 1)
@@ -211,7 +216,7 @@ class BranchFollower(Curve[PathPoint]):
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
         """Parameters at a point z."""
-        return self.data(z[-1])[PARAMETERS]
+        return self.data(z[-1])[PARAMETERS_PLACE]
 
     def problem(self, z: np.ndarray) -> BoundaryProblem:
         """The problem at a point z."""
@@ -220,7 +225,7 @@ class BranchFollower(Curve[PathPoint]):
     def solution(self, z: np.ndarray) -> Solution | None:
         """The path of a point z of the curve, verified; None where that moves it."""
         with suppress(SolveFailure):
-            found = damped_newton(self.stationarity, z[:-1], self.data(z[-1]), max_iter=ITERATIONS)
+            found = damped_newton(self.stationarity, z[:-1], self.data(z[-1]), max_iter=FOLD_ITERATIONS)
             return found if self.length(np.append(found.unknowns - z[:-1], 0.0)) < CONVERGED_STEP else None
         return None
 
@@ -241,10 +246,12 @@ class BranchFollower(Curve[PathPoint]):
             )
         size, change = np.abs(z[:-1]), np.abs(follow)
         self._lowest = self._highest = z[:-1]
-        self._expected = np.where(size > ROUNDED * change, size, change)  # the rate may be zero, or large near a fold
+        self._expected = np.where(
+            size > ZERO_UNKNOWN * change, size, change
+        )  # the rate may be zero, or large near a fold
         point = self.point(z, np.append(follow, 1.0), start)
         assert point.trajectory is not None
-        if unresolved := point.trajectory._unresolved(LOST):
+        if unresolved := point.trajectory._unresolved(UNRESOLVED_FOLDS):
             words = f"the first path of the branch is {''.join(unresolved).strip()}"
             raise ConvergenceError(words, point.trajectory)
         return point
@@ -256,10 +263,14 @@ class BranchFollower(Curve[PathPoint]):
         was expected at first counts less and less.
         """
         self._lowest, self._highest = np.minimum(self._lowest, z[:-1]), np.maximum(self._highest, z[:-1])
-        changes = np.maximum.reduce((self._highest - self._lowest, self._expected, LEAST_OF_SIZE * np.abs(z[:-1])))
+        changes = np.maximum.reduce(
+            (self._highest - self._lowest, self._expected, LEAST_CHANGE_OF_SIZE * np.abs(z[:-1]))
+        )
         largest = np.max(changes[: self.transcription.numbering.positions], initial=0.0)
         start, end, *further = self.data(z[-1])
-        sizes = self.stationarity.sizes(np.maximum(changes, LEAST_OF_ALL * largest), (0 * start, 0 * end, *further))
+        sizes = self.stationarity.sizes(
+            np.maximum(changes, LEAST_CHANGE_OF_LARGEST * largest), (0 * start, 0 * end, *further)
+        )
         self.weights[:-1] = 1 / (len(sizes) * sizes**2)
         self._expected = self._expected / 2
 
@@ -272,7 +283,7 @@ class BranchFollower(Curve[PathPoint]):
         """The number of negative eigenvalues, and the sign that changes at branch points alone."""
         negative = negative_eigenvalues(self.stationarity, z[:-1], self.data(z[-1]))
         if negative is None:
-            return None, self.orientation(z, tangent) if len(z) < DENSE else np.nan
+            return None, self.orientation(z, tangent) if len(z) < LARGEST_DETERMINANT else np.nan
         return negative, float(np.sign(tangent[-1]) * (-1) ** negative)
 
     def taken(self, point: PathPoint, step: float) -> PathPoint | None:
@@ -319,7 +330,7 @@ class BranchFollower(Curve[PathPoint]):
         tangent = self.unit(before.tangent)
         ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
         level = FOLD_TOLERANCE * abs(rates[0] - rates[1])
-        for iteration in range(ITERATIONS):
+        for iteration in range(FOLD_ITERATIONS):
             if min(map(abs, rates)) < level:
                 break
             fraction = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
@@ -341,9 +352,9 @@ class BranchFollower(Curve[PathPoint]):
         folds, crossed, missed, stopped = list[Fold](), list[BranchPoint](), list[int](), ""
         before = first
         self.weigh(first.z)
-        for point in self.walk(first, FIRST_STEP, STEPS):
+        for point in self.walk(first, FIRST_BRANCH_STEP, BRANCH_STEPS):
             assert point.trajectory is not None
-            if unresolved := point.trajectory._unresolved(LOST):
+            if unresolved := point.trajectory._unresolved(UNRESOLVED_FOLDS):
                 stopped = f"the next one, at {self.parameters(point.z)}, is {''.join(unresolved).strip()}"
                 break
             if point.missed:
@@ -385,7 +396,9 @@ class BranchFollower(Curve[PathPoint]):
         for node in self.nodes:
             apart = np.abs(crossing.z - node.z)[: self.transcription.numbering.positions]
             sizes = np.abs(node.z) + (0.0 if node.other is None else np.abs(node.other))
-            if abs(crossing.z[-1] - node.z[-1]) < SAME and np.max(apart) < SAME * np.max(sizes):
+            if abs(crossing.z[-1] - node.z[-1]) < SAME_BRANCH_POINT and np.max(apart) < SAME_BRANCH_POINT * np.max(
+                sizes
+            ):
                 crossed.append(replace(node.found, after=after))
                 lines = [
                     0.0 if line is None else abs(self.cosine(tangent, self.unit(line)))

@@ -16,9 +16,9 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 
 LEAST_AGREEMENT = 0.95  # agreement below which a given mesh does not resolve the variations
 LARGEST_RATIO = 0.9  # largest ratio of two Newton steps with which their geometric series is summed
-FORCES = 3  # number of forces with which two degrees are compared: with one alone they may agree by chance
+RESPONSE_FORCES = 3  # number of forces with which two degrees are compared: with one alone they may agree by chance
 SMALL_RESPONSE = 1e-6  # responses below this part of the largest mean response count as this part of it
-ROUNDING = 0.2  # root mean square of the error of rounding to the nearest double, over eps
+ROUNDING_RMS = 0.2  # root mean square of the error of rounding to the nearest double, over eps
 
 
 def discretization_error(
@@ -93,7 +93,7 @@ def agreement(
 
 
 def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial, mass: np.ndarray) -> np.ndarray:
-    """Virtual work ∫ F·δx dt for each unknown of smooth forces F(t) that are the same in all degrees; (FORCES, n).
+    """Virtual work ∫ F·δx dt of smooth forces F(t) that are the same in all degrees; (forces, unknowns).
 
     A force is the mass times an acceleration of the path's size, so that it moves the path by a finite distance also
     where the mass vanishes.  `mass`, (N r, d, d), is ∂²L̂/∂x'² at the points of the graph.
@@ -101,9 +101,9 @@ def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial, mass: np.nd
     numbering, element, d, steps = graph.numbering, graph.method.element, len(path.values), np.diff(path.mesh)
     times = (path.mesh[:-1] - path.mesh[0] + element.points[:, None] * steps) / (path.mesh[-1] - path.mesh[0])
     phases = np.arange(d)[:, None, None] + 3 * times
-    accelerations = np.cos(np.multiply.outer(np.arange(1, FORCES + 1), phases)) * path.sizes[:, None, None]
+    accelerations = np.cos(np.multiply.outer(np.arange(1, RESPONSE_FORCES + 1), phases)) * path.sizes[:, None, None]
     forces = np.einsum("qnij,fjqn->fiqn", mass.reshape(*times.shape, d, d), accelerations) * steps**2
-    works = np.zeros((FORCES, numbering.size))
+    works = np.zeros((RESPONSE_FORCES, numbering.size))
     of_nodes = np.einsum("fiqn,qa->anif", forces, element.weights[:, None] * element.values)
     np.add.at(works.T, numbering.local, of_nodes)
     return works[:, : numbering.free]
@@ -119,12 +119,12 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
     """Estimate the roundoff error of a path, relative to the size of its components.
 
     It is the root mean square, over a few choices of random signs, of the largest |∇²S⁻¹ r|, where r is an error of
-    every equation of `ROUNDING` times eps times the sizes of its terms (`Linearization.rounding_effects`).
+    every equation of `ROUNDING_RMS` times eps times the sizes of its terms (`Linearization.rounding_effects`).
     """
     unknowns, data = point.solution.unknowns, point.solution.data
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
-        moved = ROUNDING * at.rounding_effects(unknowns, data)
+        moved = ROUNDING_RMS * at.rounding_effects(unknowns, data)
     largest = np.max(np.abs(moved) / graph.stationarity.sizes(unknowns, data), axis=1)
     floor = float(np.sqrt(np.mean(largest**2))) + EPS
     return floor if math.isfinite(floor) else math.inf

@@ -18,7 +18,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
-PART = 0.01  # part of the largest change of a variation that counts as none
+NO_CHANGE = 0.01  # part of the largest change of a variation that counts as none
 ISOLATE = "Move an end, change the time span, or fix a component that a symmetry leaves free"
 
 
@@ -80,14 +80,14 @@ def open_direction(problem: BoundaryProblem, path: PiecewisePolynomial, change: 
     moved, motion = change / size, path(path.node_times, 1) / size
     largest = np.max(np.abs(moved), axis=1)
     held = np.isfinite(problem.given_positions).any(axis=0)
-    free = np.flatnonzero((largest > PART * np.max(largest)) & ~held).tolist()
-    if free and np.max(np.ptp(moved, axis=1)) < PART * np.max(largest):
+    free = np.flatnonzero((largest > NO_CHANGE * np.max(largest)) & ~held).tolist()
+    if free and np.max(np.ptp(moved, axis=1)) < NO_CHANGE * np.max(largest):
         names = " and ".join(f"x[{i}]" for i in free)
         together, one = ("together by", "one of them") if len(free) > 1 else ("by", "it")
         return f"Nothing holds {names}: moved {together} any amount, the path is as good; give {one} at one end"
     along = np.sum(moved * motion) ** 2 / max(np.sum(moved**2) * np.sum(motion**2), TINY)
-    rests = np.max(np.abs(motion[:, [0, -1]])) < PART * np.max(np.abs(motion))
-    if problem.autonomous and rests and along > 1 - PART:
+    rests = np.max(np.abs(motion[:, [0, -1]])) < NO_CHANGE * np.max(np.abs(motion))
+    if problem.autonomous and rests and along > 1 - NO_CHANGE:
         return (
             "The path rests near both ends for so long that nothing tells when it passes from one to the other. Where "
             "it is symmetric, solve one half of it: from its middle, whose position is then known, in half of the time"

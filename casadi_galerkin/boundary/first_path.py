@@ -30,14 +30,14 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
-ITERATIONS = 40  # most iterations of Newton's method before another strategy is tried; with more it moves far away
+WARM_ITERATIONS = 40  # most iterations of Newton's method before another strategy is tried; with more it moves far away
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
-MORE = 4  # factor on the intervals of a coarse mesh that is too coarse for any path; it was always enough
+FINE_MESH_FACTOR = 4  # factor on the intervals of a coarse mesh that is too coarse for any path; it was always enough
 GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a guess
 # truncation error of a guess on a first mesh: loose for corners and noise, tight for layers
 COARSE_RESOLUTION, FINE_RESOLUTION = 0.1, 1e-6
 # names of strategies: those that begin at the guess and lead nearby, and others
-LOCAL = "Newton's method", "Newton's method from the guess smoothed", "Newton's method on a finer mesh"
+LOCAL_STRATEGIES = "Newton's method", "Newton's method from the guess smoothed", "Newton's method on a finer mesh"
 DESCENT, RANDOM = "descent of the action", "random guesses"
 
 Find: TypeAlias = Callable[[], CriticalPoint]
@@ -51,7 +51,7 @@ def is_newton(solver: SolverLike) -> TypeGuard[Solver]:
 
 def warm_newton(solver: SolverLike) -> SolverLike:
     """Newton's method with few iterations, and with the options of `solver` if that is Newton's method, too."""
-    return partial(damped_newton, **{"max_iter": ITERATIONS, **(solver.options if is_newton(solver) else {})})
+    return partial(damped_newton, **{"max_iter": WARM_ITERATIONS, **(solver.options if is_newton(solver) else {})})
 
 
 def guess_on_resolving_mesh(
@@ -116,7 +116,7 @@ def first_path_strategies(
         guess = None
     far = list[Strategy]()
     for name, find in _strategies(graphs, method, guess, given, warm_newton(solver), intermediate_path):
-        if name in LOCAL or not far:
+        if name in LOCAL_STRATEGIES or not far:
             yield name, find if guess is None else partial(_near, given, far, name, find)
         elif name == DESCENT:  # which follows the guess, even if far
             yield name, find
@@ -142,16 +142,18 @@ def _strategies(
         return graphs.solve(method, begun.mesh, begun.values, by)
 
     problem, finer = graphs.problem, given
-    yield LOCAL[0], partial(solved, given, brief)
+    yield LOCAL_STRATEGIES[0], partial(solved, given, brief)
     if guess is not None:
         smoothed, finer = _smoothed(given), guess_on_resolving_mesh(graphs, method, guess, given.mesh, FINE_RESOLUTION)
-        for name, start in zip(LOCAL[1:], (smoothed, finer), strict=True):
+        for name, start in zip(LOCAL_STRATEGIES[1:], (smoothed, finer), strict=True):
             if _differs(start, given):
                 yield name, partial(solved, start, brief)
     stationarity = graphs.transcription(method, given.mesh).stationarity
     for name, rescue in rescues(stationarity).items():
         yield name, partial(solved, given, rescue)
-    fine = resized_mesh(finer.mesh, max(MORE * (len(given.mesh) - 1), len(finer.mesh) - 1), problem.breakpoints)
+    fine = resized_mesh(
+        finer.mesh, max(FINE_MESH_FACTOR * (len(given.mesh) - 1), len(finer.mesh) - 1), problem.breakpoints
+    )
     if problem.force is not None:
         start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
         yield "Newton's method under a growing force", partial(path_by_homotopy, graphs, start, intermediate_path)
@@ -180,9 +182,12 @@ def _by_random_guesses(graphs: GraphCache, method: Galerkin, mesh: np.ndarray, s
     return graphs.solve(method, found.t, found, solver)
 
 
-GROWTH, LEAST_GROWTH = 10.0, 1.02  # first factor by which a fraction grows, and the factor below which the path is lost
-LEAST = 1e-8  # smallest fraction that is tried
-MOST = 100  # largest number of fractions that are tried
+FORCE_GROWTH, LEAST_FORCE_GROWTH = (
+    10.0,
+    1.02,
+)  # first factor by which a fraction grows, and the factor below which the path is lost
+LEAST_FORCE = 1e-8  # smallest fraction that is tried
+HOMOTOPY_STEPS = 100  # largest number of fractions that are tried
 
 
 def path_by_homotopy(
@@ -198,21 +203,21 @@ def path_by_homotopy(
     guess : guess of the path of the problem
     intermediate_path : (graphs, guess) -> the path from this guess, on a mesh that resolves it
     """
-    fraction, growth, known = 1 / GROWTH, GROWTH, 0.0
-    for _ in range(MOST):
+    fraction, growth, known = 1 / FORCE_GROWTH, FORCE_GROWTH, 0.0
+    for _ in range(HOMOTOPY_STEPS):
         part = graphs if fraction == 1.0 else with_scaled_force(graphs, fraction)
         try:
             point = intermediate_path(part, guess)
         except ConvergenceError as failure:
             lost = failure
             growth = math.sqrt(growth) if known else growth
-            if growth < LEAST_GROWTH or fraction <= LEAST:
+            if growth < LEAST_FORCE_GROWTH or fraction <= LEAST_FORCE:
                 break
-            fraction = known * growth if known else fraction / GROWTH
+            fraction = known * growth if known else fraction / FORCE_GROWTH
         else:
             if fraction == 1.0:
                 return point
-            guess, known, growth = point.polynomial, fraction, min(growth**1.5, GROWTH)
+            guess, known, growth = point.polynomial, fraction, min(growth**1.5, FORCE_GROWTH)
             fraction = min(1.0, known * growth)
         finally:
             if part is not graphs:

@@ -75,8 +75,9 @@ def nearest(values: np.ndarray, known: np.ndarray, spread: np.ndarray) -> int:
     return int(np.argmin(np.sum(difference**2, axis=1)))
 
 
-BENT = 0.03  # part of the changes to first order that is allowed where S bends both ways between two points
-ROUGH = 1e-6  # relative error of the action that is allowed for a coarse mesh
+# part of the changes to first order that is allowed where S bends both ways between two points
+CHANGE_OF_CURVATURE = 0.03
+ACTION_ERROR = 1e-6  # relative error of the action that is allowed for a coarse mesh
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,11 @@ class BranchPoint:
         """Whether two neighboring points lie on different branches."""
         step = self.values - other.values
         here, there = float(self.slopes @ step), float(other.slopes @ step)
-        allowed = abs(here - there) + BENT * (abs(here) + abs(there)) + ROUGH * (abs(self.action) + abs(other.action))
+        allowed = (
+            abs(here - there)
+            + CHANGE_OF_CURVATURE * (abs(here) + abs(there))
+            + ACTION_ERROR * (abs(self.action) + abs(other.action))
+        )
         return self.index != other.index or abs(self.action - other.action - (here + there) / 2) > allowed
 
 

@@ -70,11 +70,11 @@ FIRST_NODES = 64  # nodes of the first mesh at any degree: fewer may miss featur
 # agreement below which a mesh is halved; at 0.83 some 3 % of undetermined kinks were accepted, at 0.95 a few
 REQUIRED_AGREEMENT = 0.99
 FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls with the mesh
-SHORTEST = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
+SHORTEST_INTERVAL = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
 # interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
 TIME_ROUNDING = 1e5 * EPS
-INTERMEDIATE = 1e-3, 500  # tolerance and largest number of intervals for the intermediate paths of a homotopy
-PATIENCE = 8  # meshes in a row that do not halve an error; intervals that move to a layer need up to 6
+HOMOTOPY_ACCURACY = 1e-3, 500  # tolerance and largest number of intervals for the intermediate paths of a homotopy
+MESHES_WITHOUT_HALVING = 8  # meshes in a row that do not halve an error; intervals that move to a layer need up to 6
 
 
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
@@ -190,12 +190,12 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
         Where the last mesh did not halve the error, the path is less smooth than the order of the method requires, and
         the new mesh has more intervals than the last.  Only errors from the same source are compared.  An error that
-        stays on `PATIENCE` meshes does not fall on any.
+        stays on `MESHES_WITHOUT_HALVING` meshes does not fall on any.
         """
         mesh, (smallest, stayed) = level.polynomial.mesh, self.smallest_errors.get(estimate.source, (math.inf, 0))
         stayed = 0 if estimate.error < smallest / 2 else stayed + 1
         self.smallest_errors[estimate.source] = min(smallest, estimate.error), stayed
-        if stayed == PATIENCE:
+        if stayed == MESHES_WITHOUT_HALVING:
             words, parts = f"an error of {estimate.error:.1e}, measured by the {estimate.source},", estimate.detail
             words += " stays on any mesh"
             if np.ptp(parts) > 0:
@@ -215,7 +215,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def shortest(self, mesh: np.ndarray) -> np.ndarray:
         """Lengths below which the precision of a double does not resolve intervals, or their times."""
         inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
-        steps = np.maximum(SHORTEST * (mesh[-1] - mesh[0]), TIME_ROUNDING * inside)
+        steps = np.maximum(SHORTEST_INTERVAL * (mesh[-1] - mesh[0]), TIME_ROUNDING * inside)
         return np.maximum(steps, NEAREST * np.max(np.abs(mesh)))
 
     @property
@@ -289,7 +289,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def intermediate_path(self, graphs: GraphCache, guess: PiecewisePolynomial) -> CriticalPoint:
         """Find a path of a homotopy to a loose tolerance, on a mesh that resolves it."""
-        tol, most = INTERMEDIATE
+        tol, most = HOMOTOPY_ACCURACY
         limits = replace(self.limits, intervals=min(self.limits.intervals, most))
         part = BoundaryRefinement(graphs, max(self.tol, tol), self.method, self.solver, limits)
         part.deadline = self.deadline

@@ -43,17 +43,22 @@ from casadi_galerkin.solvers.second_variation import smallest_second_variation
 
 Symmetry = Callable[[np.ndarray], ArrayLike]
 
-PATIENCE = 20  # solves in succession without a new path after which a search ends
+SOLVES_WITHOUT_A_PATH = 20  # solves in succession without a new path after which a search ends
 SEED = 0  # of the random guesses and loads, so that repeated searches give the same paths
-SAME = 1e-6  # largest distance of node values, in sizes of the component, at which two paths count as one
-RESOLVED = 0.05  # largest estimated relative error of a path; that of zigzags is about one
-# a second variation below SOFT and below ERRORS times the estimated error counts as zero; regular ones are above 1e-2
-SOFT, ERRORS = 1e-3, 10.0
+SAME_PATH = 1e-6  # largest distance of node values, in sizes of the component, at which two paths count as one
+RESOLVED_ERROR = 0.05  # largest estimated relative error of a path; that of zigzags is about one
+# a second variation counts as zero below the former, and below the latter times the estimated error; regular ones are
+# above 1e-2
+SINGULAR_BELOW, SINGULAR_BELOW_ERRORS = 1e-3, 10.0
 # amplitudes of guesses until a path is found, in turn: small ones lead to paths of less action and a smaller index
-GROWING = 2.0 ** np.arange(-2, 6)
-PROJECTIONS = 30  # most iterations to move a guess onto the constraint
-AROUND = 2.0, 1.0, 0.5  # amplitudes there around a known path: large ones lead away from it, small ones to neighbors
-FINER = "a higher degree or more intervals may"
+AMPLITUDES = 2.0 ** np.arange(-2, 6)
+PROJECTION_ITERATIONS = 30  # most iterations to move a guess onto the constraint
+NEAR_AMPLITUDES = (
+    2.0,
+    1.0,
+    0.5,
+)  # amplitudes there around a known path: large ones lead away from it, small ones to neighbors
+RESOLVED_BY = "a higher degree or more intervals may"
 NO_PATH = (
     "There may be no path between these ends in this time; else give cg.solve a guess nearer to it, or come from an "
     "easier problem by cg.sweep or cg.continuation"
@@ -96,7 +101,7 @@ class Search:
         self.transcription, self.stationarity, self.mesh = transcription, transcription.stationarity, mesh
         self.symmetries, self.refine, self.random = symmetries, refine, np.random.default_rng(SEED)
         self.periods = np.full(transcription.problem.dimension, np.inf) if periods is None else periods
-        self.amplitudes = cycle(GROWING)
+        self.amplitudes = cycle(AMPLITUDES)
         self.data = transcription.data(mesh)
         self.found: list[tuple[Trajectory, np.ndarray]] = []  # with their unknowns
         self.known: list[np.ndarray] = []  # node values of all critical points and their images, also of those dropped
@@ -115,10 +120,10 @@ class Search:
         return self.transcription.unknowns(values.T, self.data)
 
     def run(self, count: int) -> list[Trajectory]:
-        """Search until `count` paths are found, or `PATIENCE` solves in succession have found no new one."""
+        """Search until `count` paths are found, or `SOLVES_WITHOUT_A_PATH` in succession have found no new one."""
         last = 0
         with progress("paths", count, "path") as advance:
-            while len(self.found) < count and self.solves - last < PATIENCE:
+            while len(self.found) < count and self.solves - last < SOLVES_WITHOUT_A_PATH:
                 self.solves += 1
                 known, began = len(self.found), time.perf_counter()
                 with suppress(SolveFailure):
@@ -150,7 +155,7 @@ class Search:
             yield from self.along_residual_load(next(self.amplitudes))
         elif self.transcription.problem.constraint is not None:
             base = self.values(self.found[self.solves % len(self.found)][1])
-            for amplitude in AROUND:
+            for amplitude in NEAR_AMPLITUDES:
                 yield from self.along_residual_load(amplitude, base)
         else:
             yield from self.along_a_load()
@@ -176,7 +181,7 @@ class Search:
         step = ca.mtimes(normals.T, ca.solve(ca.mtimes(normals, normals.T), off))
         moved = ca.Function("moved", [t, x], [x - step]).map(values.shape[1])
         times, given = self.mesh[0] + self.parts * (self.mesh[-1] - self.mesh[0]), values
-        for _ in range(PROJECTIONS):
+        for _ in range(PROJECTION_ITERATIONS):
             values = np.array(moved(times[None, :], values))
         fixed = ~np.isnan(problem.given_positions.T)
         values[:, [0, -1]] = np.where(fixed, given[:, [0, -1]], values[:, [0, -1]])
@@ -206,7 +211,7 @@ class Search:
         """Node values (d, N m + 1) of unknowns."""
         return self.transcription.emb(unknowns, self.data).values
 
-    def same(self, values: np.ndarray, others: np.ndarray, distance: float = SAME) -> bool:
+    def same(self, values: np.ndarray, others: np.ndarray, distance: float = SAME_PATH) -> bool:
         """Whether two arrays of node values are the same path, up to whole periods."""
         apart = values - others
         with np.errstate(invalid="ignore"):  # of a component without period
@@ -235,12 +240,14 @@ class Search:
         error = path.estimate_error()
         if self.refine is not None:  # two critical points of the coarse mesh may lead to one path
             here, *others = (each(each.t[0] + self.parts * np.ptp(each.t)) for each in (path, *self.paths))
-            if any(self.same(here, other, max(SAME, 10 * error)) for other in others):
+            if any(self.same(here, other, max(SAME_PATH, 10 * error)) for other in others):
                 return
-        elif smallest_second_variation(self.stationarity, solution.unknowns, self.data) < min(SOFT, ERRORS * error):
+        elif smallest_second_variation(self.stationarity, solution.unknowns, self.data) < min(
+            SINGULAR_BELOW, SINGULAR_BELOW_ERRORS * error
+        ):
             self.singular += 1  # of a family, of which the discrete action has single critical points
             return
-        if not error <= RESOLVED:
+        if not error <= RESOLVED_ERROR:
             self.unresolved += 1
             return
         self.found.append((path, solution.unknowns))
@@ -263,7 +270,7 @@ class Search:
         kind, why = ConvergenceError, f"; from the straight line, {began}"
         if self.unresolved:
             dropped = counted(self.unresolved, "critical point")
-            why = f", but {dropped} of the discrete action that the mesh does not resolve; {FINER}. {NO_PATH}"
+            why = f", but {dropped} of the discrete action that the mesh does not resolve; {RESOLVED_BY}. {NO_PATH}"
         elif self.singular:
             kind = ConjugatePointError
         return kind(

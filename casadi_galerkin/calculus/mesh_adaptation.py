@@ -18,15 +18,15 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.calculus.roundoff import TINY
 
-FINEST = 32.0  # an interval is split into at most this many at once
-COARSEST = 4.0  # at most this many intervals are merged at once
-NEIGHBORS = 8.0  # largest ratio of densities of neighboring intervals of a new mesh, unless `finest` is in the way
+MOST_PARTS_OF_AN_INTERVAL = 32.0  # an interval is split into at most this many at once
+MOST_MERGED_INTERVALS = 4.0  # at most this many intervals are merged at once
+NEIGHBOR_RATIO = 8.0  # largest ratio of densities of neighboring intervals of a new mesh, unless `finest` is in the way
 FEWEST = 4  # least number of intervals of a new mesh
-FEWER = 3.0  # a mesh keeps its number of intervals unless it has so many times more than it needs
-GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
-LOW = 8  # below this degree errors are estimated with four degrees more, from it on with two more
-MESHES = 10  # most meshes that are tried until one resolves a function
-TARGET = 0.3  # a new mesh aims at this part of the tolerance
+COARSENING_FACTOR = 3.0  # a mesh keeps its number of intervals unless it has so many times more than it needs
+LEAST_INTERVALS_GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
+LOW_DEGREE = 8  # below this degree errors are estimated with four degrees more, from it on with two more
+RESOLVING_MESHES = 10  # most meshes that are tried until one resolves a function
+ERROR_TARGET = 0.3  # a new mesh aims at this part of the tolerance
 
 
 @lru_cache(32)  # so that its basis is computed once
@@ -37,7 +37,7 @@ def higher_degree_method(degree: int) -> Galerkin:
     narrower than its interval they showed an eighth of the error.  At high degrees two are enough, and four add to the
     roundoff.
     """
-    return Galerkin(degree + (4 if degree < LOW else 2))
+    return Galerkin(degree + (4 if degree < LOW_DEGREE else 2))
 
 
 @lru_cache(32)
@@ -119,13 +119,13 @@ def resized_mesh(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...
 
 def parts_wanted(error: np.ndarray, order: int | np.ndarray, tol: float) -> np.ndarray:
     """Parts into which to split intervals with errors (N,) that fall with the step to the power `order`; (N,)."""
-    return (error / (TARGET * tol)) ** (1.0 / order)
+    return (error / (ERROR_TARGET * tol)) ** (1.0 / order)
 
 
 def equidistributed(
     mesh: np.ndarray,
     parts: np.ndarray,
-    finest: float = FINEST,
+    finest: float = MOST_PARTS_OF_AN_INTERVAL,
     fewest: int = FEWEST,
     breakpoints: tuple[float, ...] = (),
 ) -> np.ndarray:
@@ -143,20 +143,20 @@ def equidistributed(
     -------
     (N' + 1,) joints with the same ends; N' = N where that is about enough, so that no graph has to be rebuilt
     """
-    density = np.clip(parts, 1 / COARSEST, finest) / np.diff(mesh)
+    density = np.clip(parts, 1 / MOST_MERGED_INTERVALS, finest) / np.diff(mesh)
     for i in range(1, len(density)):
-        density[i] = max(density[i], density[i - 1] / NEIGHBORS)
+        density[i] = max(density[i], density[i - 1] / NEIGHBOR_RATIO)
     for i in range(len(density) - 2, -1, -1):
-        density[i] = max(density[i], density[i + 1] / NEIGHBORS)
+        density[i] = max(density[i], density[i + 1] / NEIGHBOR_RATIO)
     density = np.minimum(density, finest / np.diff(mesh))
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
     edges = np.interp([mesh[0], *breakpoints, mesh[-1]], mesh, cumulated)
     count = max(fewest, int(np.ceil(np.diff(edges)).sum()))
     before = len(mesh) - 1
-    if before / FEWER < count <= before:
+    if before / COARSENING_FACTOR < count <= before:
         count = before
     elif count > before:
-        count = max(count, int(np.ceil(GROWTH * before)))
+        count = max(count, int(np.ceil(LEAST_INTERVALS_GROWTH * before)))
     return spread_over(mesh, cumulated, count, breakpoints)
 
 
@@ -167,7 +167,7 @@ def resolving_interpolant(
     most: int,
     breakpoints: tuple[float, ...] = (),
 ) -> PiecewisePolynomial:
-    """Interpolate a function on a mesh that resolves it to a tolerance, or on the last of `MESHES` that were tried.
+    """Interpolate a function on a mesh that resolves it to a tolerance, or on the last of `RESOLVING_MESHES`.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def resolving_interpolant(
     breakpoints : increasing times inside that are joints
     """
     path = interpolated(mesh)
-    for _ in range(MESHES):
+    for _ in range(RESOLVING_MESHES):
         error = truncation_error(path)
         if np.max(error) <= tol or len(path.mesh) > most:
             break

@@ -28,7 +28,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.control.control_transcription import SHORTEST_STEP, transcribed_control
 from casadi_galerkin.control.idle_breakpoints import switch_times, with_joined_phases, with_parted_phases
 from casadi_galerkin.control.starts import distinct_optima, optima_of
-from casadi_galerkin.control.two_comparisons import CLOSE, TwoComparisons, compared, from_near
+from casadi_galerkin.control.two_comparisons import BESIDE_FIXED, TwoComparisons, compared, from_near
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times
@@ -190,7 +190,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
 
     def shortest(self, mesh: np.ndarray) -> np.ndarray:
         """Lengths of intervals that can still be halved, and divided for a comparison."""
-        rounded = NEAREST * np.max(np.abs(mesh)) / CLOSE
+        rounded = NEAREST * np.max(np.abs(mesh)) / BESIDE_FIXED
         return np.full(len(mesh) - 1, max(2 * SHORTEST_STEP * np.ptp(mesh), rounded))
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:

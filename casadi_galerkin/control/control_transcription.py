@@ -29,7 +29,7 @@ from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations
 from casadi_galerkin.control.second_order import SecondOrder
-from casadi_galerkin.control.starts import LONGER, first_found
+from casadi_galerkin.control.starts import LONGER_DURATION, first_found
 from casadi_galerkin.control.two_comparisons import compared, from_near
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, fork_waits, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
@@ -47,7 +47,7 @@ from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 LARGEST_TERMS_RATIO = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
 LEAST_TERMS = 1e-5  # part of the largest terms on the straight line below which those of a component do not count
 SHORTEST_STEP = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
-NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
+SOLVER_NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class ControlTranscription:
             t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N).  Where no path
             is found from a guess, the straight line is tried
         mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
-            that, `LONGER` times this, or what its bounds allow
+            that, `LONGER_DURATION` times this, or what its bounds allow
         solver : ipopt or fatrop, with or without options
         verbose : 1 prints a summary, 2 also the solver's own output
 
@@ -186,7 +186,9 @@ class ControlTranscription:
             attempts.append(("from the straight line", partial(attempt, other, None)))
         bounds = problem.duration_bounds  # without them the cost may fall for ever
         if bounds is not None and np.isfinite(bounds[1]).all() and not isinstance(guess, ControlTrajectory):
-            attempts.append((f"from {LONGER:g} times the duration", partial(attempt, other, guess, LONGER)))
+            attempts.append(
+                (f"from {LONGER_DURATION:g} times the duration", partial(attempt, other, guess, LONGER_DURATION))
+            )
         with fork_waits:  # it builds its Functions when they are first needed
             path = first_found(attempts)
         if verbose:
@@ -232,7 +234,7 @@ class ControlTranscription:
         relative = violations(chain, bounds, optimum.unknowns, report.equations, scales)
         violation = float(np.max(relative))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
-            raise explained(problem, NAMES[solver.name], chain, optimum, report.cost, relative, path)
+            raise explained(problem, SOLVER_NAMES[solver.name], chain, optimum, report.cost, relative, path)
         multipliers = optimum.multipliers / chain.units(values["sizes"])
         joints, mechanical = path.mesh, chain.mechanical
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
@@ -255,7 +257,7 @@ class ControlTranscription:
             action=report.action,
             iterations=optimum.iterations,
             residual=violation / EPS,
-            solver=f"{NAMES[solver.name]} ({optimum.status})",
+            solver=f"{SOLVER_NAMES[solver.name]} ({optimum.status})",
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
@@ -382,7 +384,7 @@ def _check_steps(mesh: np.ndarray) -> None:
 
 def check_solver(solver: object) -> None:
     """Refuse a solver that does not optimize."""
-    if not isinstance(solver, Solver) or solver.name not in NAMES:
+    if not isinstance(solver, Solver) or solver.name not in SOLVER_NAMES:
         raise ValueError(f"a ControlProblem is solved by cg.ipopt or cg.fatrop, got the solver {solver!r}")
 
 

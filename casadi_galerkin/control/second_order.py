@@ -36,11 +36,10 @@ from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.solution.control_trajectory import RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
-STEPS_LEFT = (
-    3.0  # errors over Newton steps: where the cost is like a fourth power, a step leaves two thirds of the distance
-)
-FLAT = 1e-6  # relative change of the cost that counts as none, as along a singular arc
-PENALTY = np.sqrt(EPS)  # δ
+# errors over Newton steps: where the cost is like a fourth power, a step leaves two thirds of the distance
+STEPS_LEFT = 3.0
+NO_DECREASE = 1e-6  # relative change of the cost that counts as none, as along a singular arc
+CONSTRAINT_PENALTY = np.sqrt(EPS)  # δ
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ class SecondOrder:
     def negative(self) -> int:
         """Number of independent directions in which the cost decreases to second order.
 
-        A relative decrease of at most `FLAT`, for changes as large as the path, is not counted.
+        A relative decrease of at most `NO_DECREASE`, for changes as large as the path, is not counted.
         """
         graph, at = self._graph(), self.optimum
         chain = graph.chain
@@ -97,7 +96,7 @@ class SecondOrder:
         hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, multipliers)[1]
         free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, sizes)).tolist()
         held = np.flatnonzero(_active(rows, at.bounds.equations, np.abs(rows))).tolist()
-        units, flat = (ca.diag(ca.DM(a)) for a in (_units(chain, at, sizes), np.where(sizes > 0, FLAT, 0.0)))
+        units, flat = (ca.diag(ca.DM(a)) for a in (_units(chain, at, sizes), np.where(sizes > 0, NO_DECREASE, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
         if largest == 0:
@@ -117,7 +116,7 @@ class SecondOrder:
         gradients = ca.mtimes(ca.mtimes(gradients, units)[held, free], change)
         lengths = ca.sqrt(ca.sum2(gradients**2))
         gradients = ca.mtimes(ca.diag(1 / ca.if_else(lengths > 0, lengths, 1.0)), gradients)
-        matrix = hessian + ca.mtimes(gradients.T, gradients) / PENALTY
+        matrix = hessian + ca.mtimes(gradients.T, gradients) / CONSTRAINT_PENALTY
         return negative_pivots(matrix, factors_of(matrix.sparsity()))
 
     def __getstate__(self) -> dict[str, object]:

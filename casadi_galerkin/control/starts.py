@@ -24,7 +24,7 @@ from casadi_galerkin.solvers.deadline import seconds_left
 
 # Factor on a free duration after a failure, as a path may need time to swing: of 228 problems with known answers IPOPT
 # found 221 paths from guesses of 0.4 to 2.5 times the least duration, and 6 of the other 7 from four times these.
-LONGER = 4.0
+LONGER_DURATION = 4.0
 SAME_COST = np.sqrt(EPS)  # relative difference of costs up to which two optima count as one
 
 

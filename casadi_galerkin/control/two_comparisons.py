@@ -1,12 +1,12 @@
 """The error of an optimal path, and its next mesh, by comparison with two optimal paths of two degrees more.
 
 One has the same mesh.  The other has an interlaced one: every joint gives way to two, at parts of the shorter
-interval beside it that differ (`BEFORE`, `AFTER`), so that no point of the new intervals is where the joint was.
-Wherever a control switches or meets a bound, a constraint is touched or a callable jumps, the three paths see it at
-different places between different points, and differ by about the error of the first.  Joints that have to stay, at the
-ends and at breakpoints, get another one close by, at `CLOSE` of the interval: what happens beside them is seen by no
-other point.  The errors are `SAFETY` times the larger differences of x, of the durations and of the cost.  Where all
-three may be wrong in the same way, the errors are at least what else is known of it (`errors`).
+interval beside it that differ (`JOINT_BEFORE`, `JOINT_AFTER`), so that no point of the new intervals is where the joint
+was.  Wherever a control switches or meets a bound, a constraint is touched or a callable jumps, the three paths see it
+at different places between different points, and differ by about the error of the first.  Joints that have to stay, at
+the ends and at breakpoints, get another one close by, at `BESIDE_FIXED` of the interval: what happens beside them is
+seen by no other point.  The errors are `SAFETY` times the larger differences of x, of the durations and of the cost.
+Where all three may be wrong in the same way, the errors are at least what else is known of it (`errors`).
 
 The better mesh makes the part of the interlaced path that degree m leaves out equally large on all intervals.  It is
 known from its last Legendre coefficients, and scaled to the error.  Where the coefficients do not fall, something
@@ -32,11 +32,11 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 from casadi_galerkin.solvers.solver import Solver, ipopt
 
-HIGHER = 2  # degrees added; one adds nothing to a path of the other parity
+DEGREES_ADDED = 2  # degrees added; one adds nothing to a path of the other parity
 SAFETY = 2.0  # errors over differences; on 44 paths with bends, touches and switches none was larger than twice these
-BEFORE, AFTER = 0.31, 0.23  # distances of new joints from an old one, over the shorter interval beside it
-CLOSE = 0.05  # the same for an old joint that stays
-UNSMOOTH = 0.25  # ratio of the last two Legendre coefficients to the two before from which a path is not smooth
+JOINT_BEFORE, JOINT_AFTER = 0.31, 0.23  # distances of new joints from an old one, over the shorter interval beside it
+BESIDE_FIXED = 0.05  # the same for an old joint that stays
+UNSMOOTH_DECAY = 0.25  # ratio of the last two Legendre coefficients to the two before from which a path is not smooth
 KINK_ORDER = 2  # of the error where it is not: a jump of the acceleration inside a step h changes x by the order of h²
 LEAST_PARTS, MOST_PARTS = 0.25, 4.0  # parts that an interval becomes at once
 NEAR_BARRIER = 1e-4  # first barrier of IPOPT from an earlier path: with 1e-2 a robot arm left its path, and found none
@@ -46,9 +46,9 @@ BARRIER_RATIO = 1e4
 
 
 def raised(method: Galerkin) -> Galerkin:
-    """The method with `HIGHER` more degrees and quadrature points: Lobatto's where this has one at 0, else Gauss's."""
+    """The method with `DEGREES_ADDED` and as many points more: Lobatto's where this has one at 0, else Gauss's."""
     rule = lobatto if method.quadrature.points[0] == 0 else gauss
-    return Galerkin(method.degree + HIGHER, quadrature=rule(len(method.quadrature) + HIGHER))
+    return Galerkin(method.degree + DEGREES_ADDED, quadrature=rule(len(method.quadrature) + DEGREES_ADDED))
 
 
 def from_near(solver: Solver, path: ControlTrajectory) -> Solver:
@@ -66,8 +66,8 @@ def interlaced(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> np.ndarray:
     """The mesh with two joints in place of each, and one more on either side of those that stay."""
     steps, stays = np.diff(mesh), np.isin(mesh, [mesh[0], *breakpoints, mesh[-1]])
     shorter = np.minimum(np.append(np.inf, steps), np.append(steps, np.inf))
-    before = mesh[1:] - np.where(stays[1:], CLOSE * steps, BEFORE * shorter[1:])
-    after = mesh[:-1] + np.where(stays[:-1], CLOSE * steps, AFTER * shorter[:-1])
+    before = mesh[1:] - np.where(stays[1:], BESIDE_FIXED * steps, JOINT_BEFORE * shorter[1:])
+    after = mesh[:-1] + np.where(stays[:-1], BESIDE_FIXED * steps, JOINT_AFTER * shorter[:-1])
     return np.sort(np.concatenate((mesh[stays], before, after)))
 
 
@@ -172,4 +172,4 @@ def beyond_degree(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     coefficients = np.abs(legendre_coefficients(path.polynomial, path.sizes))
     last, before = (np.max(coefficients[:, :, [k, k + 1]], axis=2) for k in (-2, -4))
     worst = np.argmax(last, axis=0), np.arange(last.shape[1])
-    return last[worst], (last < UNSMOOTH * before)[worst]
+    return last[worst], (last < UNSMOOTH_DECAY * before)[worst]

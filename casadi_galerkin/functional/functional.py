@@ -46,7 +46,8 @@ from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 
 Parts: TypeAlias = tuple[dict[str, ca.MX], dict[str, ca.MX]]  # inputs beside the symbols, and outputs, by name
 
-MANY = 1000  # points from which `by_rows` is faster within one solve: building it takes some 25 us per instruction
+# points from which `by_rows` is faster within one solve: building it takes some 25 us per instruction
+ROWS_FROM_POINTS = 1000
 
 
 class Functional:
@@ -87,7 +88,7 @@ class Functional:
         if self.pointwise.linear:
             raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
         self.symmetric = self.pointwise.symmetric and all(term.symmetric for term in terms)
-        self._mapping = by_rows if numbering.points >= MANY else mapping
+        self._mapping = by_rows if numbering.points >= ROWS_FROM_POINTS else mapping
         self._shared = (4,) if lagrangian.n_in() == 4 else ()  # after t, h, x and x' the parameters
         self._parameters = [ca.MX.sym("parameters", lagrangian.size1_in(3))] if self._shared else []
         self._given = [ca.MX.sym("given", given)] if given else []

@@ -39,14 +39,17 @@ from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
-DOUBLINGS = 4  # doublings of the number of Newton iterations, to at most 16; 1 to 8 were needed, most for large steps
+# doublings of the number of Newton iterations, to at most 16; 1 to 8 were needed, most for large steps
+ITERATION_DOUBLINGS = 4
 # estimated relative Newton step that is no longer taken; the estimate was measured up to 60 times too small
 SMALLEST_STEP = 0.01 * EPS
 # The last step that Newton's method takes is at most this part of the largest component.  QR spreads the rounding of
 # this step, EPS times its size, to all components, also to those at rest.
 LARGEST_LAST_STEP = SMALLEST_STEP ** (1 / 3)
-NEARLY_CONVERGED = 1e-8  # relative Newton step after which only rounding can keep the next one from being far smaller
-TAYLOR = 2  # Taylor terms of the velocity that predict the next interval; with more, large steps found other solutions
+# relative Newton step after which only rounding can keep the next one from being far smaller
+NEARLY_CONVERGED_SLOPES = 1e-8
+# Taylor terms of the velocity that predict the next interval; with more, large steps found other solutions
+TAYLOR_TERMS = 2
 
 
 class SlopeBasis:
@@ -188,7 +191,7 @@ def interval(
     f_size, g_size = ca.vertsplit(sizes * ca.repmat(ca.DM(abs(w)).T, 2 * d, 1), d)
     end_terms = ca.fabs(p) + ca.sum2(f_size)
     terms = end_terms @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
-    taylor = basis.taylor(TAYLOR)
+    taylor = basis.taylor(TAYLOR_TERMS)
     velocity = (s @ ca.DM(taylor).T) / ca.repmat(h ** ca.DM(range(1, len(taylor) + 1)).T, d, 1)
     terms, denoised = ca.vec(terms), unknowns
     if constraint is not None:
@@ -308,14 +311,14 @@ def _path_unknowns(shape: tuple[int, int], dimension: int) -> list[int]:
 
 
 def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
-    """Newton's method for R = 0, at most 2^`DOUBLINGS` iterations: (s, x, p, t, h) -> s, number of iterations.
+    """Newton's method for R = 0, as a Function (s, x, p, t, h) -> s, number of iterations.
 
     Steps are measured relative to the sizes of the components; under a constraint, to the sizes of their slopes, to
     which the tangent velocity has to be accurate.  Where steps converge quadratically, |ds| = c |ds_before|², the next
     one will be |ds| (|ds| / |ds_before|)².  The iteration ends when this estimate is below `SMALLEST_STEP`, or when
-    steps below `NEARLY_CONVERGED` no longer shrink.  The first so many components of x are `positions`; a stretch is
-    none.  Each doubling runs the iterations of the one before, and runs them again if they did not end, so that only
-    few conditionals are evaluated.
+    steps below `NEARLY_CONVERGED_SLOPES` no longer shrink.  The first so many components of x are `positions`; a
+    stretch is none.  Each doubling runs the iterations of the one before, and runs them again if they did not end, so
+    that only few conditionals are evaluated.
     """
     inputs = system.mx_in()
     (rows, m), d = inputs[0].shape, inputs[1].numel()
@@ -325,7 +328,7 @@ def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     size = [least[i] + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
     relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # without the impulses
     large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
-    stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEARLY_CONVERGED), relative > before / 2)
+    stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEARLY_CONVERGED_SLOPES), relative > before / 2)
     unfinished = ca.logic_and(large, ca.logic_not(stalled))
     update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])
     residual, by_s = system(*inputs)
@@ -333,7 +336,7 @@ def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     state = [inputs[0], last, *inputs[1:]]
     newton = ca.Function("newton", state, update.call([inputs[0], step, inputs[1], last]))
     done = ca.Function("done", state, [*state[:2], 0, 0])
-    for _ in range(DOUBLINGS):
+    for _ in range(ITERATION_DOUBLINGS):
         *values, more, count = newton.call(state)
         *values, more, further = ca.Function.if_else("again", newton, done).call([more, *values, *inputs[1:]])
         newton = ca.Function("newton", state, [*values, more, count + further])

@@ -16,7 +16,8 @@ from casadi_galerkin.problems.expressions import calls_functions, replayed
 
 PointMap: TypeAlias = Callable[[ca.Function, int, tuple[int, ...]], ca.Function]
 
-ROW = 400  # points in a row; rows are 1.5 to 4 times faster from 24 points on, and these values still fit in the cache
+# points in a row; rows are 1.5 to 4 times faster from 24 points on, and these values still fit in the cache
+POINTS_IN_A_ROW = 400
 
 
 @lru_cache(4 * CACHE_SIZE)
@@ -34,7 +35,7 @@ def by_rows(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
     """
     if calls_functions(f):
         return one_by_one(f, count, shared)
-    rows = -(-count // ROW)
+    rows = -(-count // POINTS_IN_A_ROW)
     size = count // rows
     whole = one_by_one(_row(f, size, shared), rows, shared) if rows > 1 else _row(f, size, shared)
     rest = count - rows * size

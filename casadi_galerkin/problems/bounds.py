@@ -18,7 +18,7 @@ Limited: TypeAlias = tuple[ca.Function, tuple[float, ...], tuple[float, ...]]  #
 
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
 AT_BOUND = 1e-6  # distance from a bound, over the size of a value, up to which the value is at the bound
-ROUNDED = 4 * EPS  # relative excess of a given value over its bound that counts as rounding
+BOUND_ROUNDING = 4 * EPS  # relative excess of a given value over its bound that counts as rounding
 
 
 def bounds(name: str, value: Any, size: int) -> Bounds:
@@ -72,5 +72,5 @@ def within_rounding(values: np.ndarray, low: ArrayLike, high: ArrayLike, sizes: 
     """
     nearest = np.clip(values, low, high)
     largest = np.fmax(np.abs(nearest), np.abs(sizes))
-    rounded = ROUNDED * np.where((largest > 0) & np.isfinite(largest), largest, 1.0)
+    rounded = BOUND_ROUNDING * np.where((largest > 0) & np.isfinite(largest), largest, 1.0)
     return np.where((nearest - rounded <= values) & (values <= nearest + rounded), nearest, values)

@@ -24,11 +24,11 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
-ITERATIONS = 20
+TANGENT_ITERATIONS = 20
 # Violation of a constraint between the nodes, over the change of g along the path, from which a path is refused.  One
 # chord of an arc has 0.09; jumps through the center of a circle were measured at 0.16 to 0.25.
 LARGEST_VIOLATION = 0.1
-STILL = 1e-10  # least motion of a component that a violation is compared with, relative to its size
+LEAST_MOTION = 1e-10  # least motion of a component that a violation is compared with, relative to its size
 
 
 @lru_cache(8)
@@ -106,7 +106,7 @@ def tangent_momenta(
     if motion is None:
         return momentum
     v, d = velocity, len(x)
-    for _ in range(ITERATIONS):
+    for _ in range(TANGENT_ITERATIONS):
         _, p, rate, _ = _at(motion, t, x, v)
         step = _solved(motion, t, x, v, np.concatenate((momentum - p, -rate)))[:d]  # which finds μ anew
         v = v + step
@@ -141,7 +141,7 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
         return None
     parts = sampling_parts(path.degree)
     x, times = path.values_at_parts(parts).reshape(len(path.values), -1), times_at(path.mesh, parts)
-    moves = np.ptp(x, axis=1, keepdims=True) + STILL * component_sizes(x)[:, None]
+    moves = np.ptp(x, axis=1, keepdims=True) + LEAST_MOTION * component_sizes(x)[:, None]
     measured = _missed(problem.numeric.constraint).map(len(times))
     missed, largest = (np.array(a) for a in measured(times[None, :], x, np.broadcast_to(moves, x.shape)))
     part = np.max(missed / np.maximum(np.max(largest, axis=1, keepdims=True), TINY), axis=0)

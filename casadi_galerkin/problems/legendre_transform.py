@@ -11,8 +11,8 @@ import numpy as np
 
 from casadi_galerkin.calculus.roundoff import component_sizes, or_one
 
-GENERIC = 0.1, 0.4, 0.7  # fractions of a bent line between the ends, at which the mass matrix is evaluated
-DEGENERATE = 1e-13  # singular value of ∂²L/∂v², over the largest, below which a direction of v has no momentum
+SAMPLED_FRACTIONS = 0.1, 0.4, 0.7  # fractions of a bent line between the ends, at which the mass matrix is evaluated
+DEGENERATE_MASS = 1e-13  # singular value of ∂²L/∂v², over the largest, below which a direction of v has no momentum
 
 
 @lru_cache(8)
@@ -57,7 +57,7 @@ def scaled_masses(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def degenerate(mass: np.ndarray) -> bool:
     """Whether a mass matrix (d, d) is singular, whatever the units of the components."""
     singular = np.linalg.svd(scaled_masses(mass)[0], compute_uv=False)
-    return bool(singular[-1] <= DEGENERATE * singular[0])
+    return bool(singular[-1] <= DEGENERATE_MASS * singular[0])
 
 
 def refuse_degenerate(mass: np.ndarray, where: str) -> None:
@@ -87,7 +87,7 @@ def singular_mass(problem: Any) -> Iterator[str]:
     start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))
     rise, size, given = end - start, component_sizes(np.array([start, end]).T), [problem.parameters or ()]
     bend, transform = size * np.cos(1.0 + np.arange(len(start))), legendre_transform(problem.lagrangian)
-    for fraction in GENERIC:
+    for fraction in SAMPLED_FRACTIONS:
         t, x = first + fraction * (last - first), start + fraction * (rise + bend)
         v = (rise + (1 - fraction) * bend) / (last - first)
         try:

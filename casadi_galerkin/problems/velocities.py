@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.problems.legendre_transform import DEGENERATE, scaled_masses
+from casadi_galerkin.problems.legendre_transform import DEGENERATE_MASS, scaled_masses
 
-ITERATIONS = 100
-FOUND = 1e-9  # residual over the sizes of its terms from which a velocity counts as found
+VELOCITY_ITERATIONS = 100
+VELOCITY_TOLERANCE = 1e-9  # residual over the sizes of its terms from which a velocity counts as found
 
 
 def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -28,7 +28,7 @@ def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.nd
 def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
     """Whether ∂²L/∂v² has no negative eigenvalue at any of many points; arguments as for `velocities`."""
     eigenvalues = np.linalg.eigvalsh(scaled_masses(_at(transform, t, x)(v)[1])[0])
-    return bool(np.all(eigenvalues[:, 0] >= -DEGENERATE * np.abs(eigenvalues).max(axis=1)))
+    return bool(np.all(eigenvalues[:, 0] >= -DEGENERATE_MASS * np.abs(eigenvalues).max(axis=1)))
 
 
 def velocities(
@@ -52,7 +52,7 @@ def velocities(
         v = np.where(undefined, 0.0, guess)
         found, masses = at(v)
     settled = np.zeros(x.shape[1], dtype=bool)
-    for _ in range(ITERATIONS):
+    for _ in range(VELOCITY_ITERATIONS):
         inverse = _inverse(masses)
         step = np.einsum("kij,jk->ik", inverse, momentum - found)
         length = np.max(np.abs(step), axis=0)
@@ -69,8 +69,12 @@ def velocities(
                 break
             damping[refused] /= 2
         v, settled = trial, settled | (damping <= EPS)
-    moved = FOUND * np.abs(v) + 4 * EPS * np.max(np.abs(guess), axis=0)  # also what rounding leaves of a guess
-    sizes = FOUND * (np.abs(momentum) + np.abs(found)) + np.einsum("kij,jk->ik", np.abs(_defined(masses)), moved)
+    moved = VELOCITY_TOLERANCE * np.abs(v) + 4 * EPS * np.max(
+        np.abs(guess), axis=0
+    )  # also what rounding leaves of a guess
+    sizes = VELOCITY_TOLERANCE * (np.abs(momentum) + np.abs(found)) + np.einsum(
+        "kij,jk->ik", np.abs(_defined(masses)), moved
+    )
     sizes += EPS * np.max(np.abs(momentum), axis=1, keepdims=True)  # where a mass vanishes, p is only rounding
     return np.where((np.isfinite(found) & (np.abs(momentum - found) <= sizes)).all(axis=0), v, np.nan)
 
@@ -78,7 +82,7 @@ def velocities(
 def _inverse(masses: np.ndarray) -> np.ndarray:
     """Pseudo-inverses of mass matrices (K, d, d)."""
     scaled, scales = scaled_masses(_defined(masses))
-    return np.linalg.pinv(scaled, rcond=DEGENERATE, hermitian=True) / scales
+    return np.linalg.pinv(scaled, rcond=DEGENERATE_MASS, hermitian=True) / scales
 
 
 def _defined(masses: np.ndarray) -> np.ndarray:

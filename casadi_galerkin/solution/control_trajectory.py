@@ -17,15 +17,17 @@ from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
-from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
+from casadi_galerkin.solution.plotting import FIGURE_SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SMALL = 1e-6  # size over that of the largest component below which a component may be an error of the solver only
-REPORTED = 1e-6  # change of the cost, over its size, from which the summary tells of it; optima have less than 1e-9
+# size over that of the largest component below which a component may be an error of the solver only
+SMALL_COMPONENT = 1e-6
+# change of the cost, over its size, from which the summary tells of it; optima have less than 1e-9
+REPORTED_COST_CHANGE = 1e-6
 REMAINDER_FACTOR = 10.0  # size over the remaining solver error up to which a component counts as zero
 STEP = (
     "a callable steps, as x or v pass some value or at a given time while durations or parameters are free, and no "
@@ -33,7 +35,7 @@ STEP = (
 )
 SHOWN_OVERSHOOT = 1e-3  # overshoot over the width of the bounds above which the summary shows it
 ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
-DOT = 3.0  # size of the dots of quadrature points, which are many
+DOT_SIZE = 3.0  # size of the dots of quadrature points, which are many
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ class ControlTrajectory(Trajectory):
         They are one as well for a component that should be zero and is only an error of the solver.
         """
         sizes = self.polynomial.sizes
-        large = sizes >= SMALL * np.max(sizes)
+        large = sizes >= SMALL_COMPONENT * np.max(sizes)
         if np.all(large):
             return sizes
         return np.where(large | (sizes > REMAINDER_FACTOR * self._remaining_error.components), sizes, 1.0)
@@ -296,7 +298,7 @@ class ControlTrajectory(Trajectory):
         if axes is not None:
             return super().plot(axes, labels, time)
         limited = self.path_multipliers is not None
-        drawn = panels(3 + limited, size=(SIZE[0], (1.6 + 0.5 * limited) * SIZE[1]), sharex=True)
+        drawn = panels(3 + limited, size=(FIGURE_SIZE[0], (1.6 + 0.5 * limited) * FIGURE_SIZE[1]), sharex=True)
         top = drawn[0]
         super().plot(top, labels, "")
         draw_bounds(top, np.array(self.problem.position_bounds))
@@ -322,7 +324,7 @@ class ControlTrajectory(Trajectory):
         """
         lines = self.control.at(ALONG).reshape(len(self.control.values), -1, len(ALONG))
         points = self.control.times, self.control.values
-        drawn = plot_path(self._broken(lines), points, axes, labels, time, "u", DOT)
+        drawn = plot_path(self._broken(lines), points, axes, labels, time, "u", DOT_SIZE)
         draw_bounds(drawn, np.array(self.problem.control_bounds))
         return drawn
 
@@ -344,7 +346,7 @@ class ControlTrajectory(Trajectory):
             raise ValueError("there is no path constraint to draw")
         times, values = self.path_multipliers.times, self.path_constraints(self.path_multipliers.points)
         line, points = self._broken(self.path_constraints(ALONG)), (times, values.reshape(len(values), -1))
-        drawn = plot_path(line, points, axes, labels, time, "g", DOT)
+        drawn = plot_path(line, points, axes, labels, time, "g", DOT_SIZE)
         draw_bounds(drawn, np.array(self.problem.path_constraint[1:]))
         draw_multipliers(drawn, times, self.path_multipliers.values)
         return drawn
@@ -395,7 +397,7 @@ class ControlTrajectory(Trajectory):
 
     def _not_optimal(self) -> bool:
         """Whether further Newton steps would change the cost by more than a solver should leave."""
-        return self.unseen_change > REPORTED * self.cost_size
+        return self.unseen_change > REPORTED_COST_CHANGE * self.cost_size
 
     def _kind(self) -> str:
         """The kind of critical point, in words; none where the solver has stopped before one."""
@@ -425,7 +427,7 @@ class ControlTrajectory(Trajectory):
     def _stepping(self) -> list[str]:
         """A line on a step of a callable that the solver has not seen."""
         sizes, times = self.between_points.steps_in_place.sizes, self.between_points.steps_in_place.times
-        if not np.max(sizes) * np.ptp(self.t) > REPORTED * self.cost_size:
+        if not np.max(sizes) * np.ptp(self.t) > REPORTED_COST_CHANGE * self.cost_size:
             return []
         return [f"  NOT RESOLVED: at t = {times[np.argmax(sizes)]:.6g} {STEP}"]
 

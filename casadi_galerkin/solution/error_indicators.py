@@ -42,14 +42,14 @@ from casadi_galerkin.problems.legendre_transform import scaled_masses
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.jump_detection import JumpDetector
 
-ENERGY_FRACTION = (
-    0.3  # fraction of the tolerance that the energy imbalance may have; smooth paths were measured below 0.25
-)
+# fraction of the tolerance that the energy imbalance may have; smooth paths were measured below 0.25
+ENERGY_FRACTION = 0.3
 # accepted misfit of L between points, over its size; at a pole it is larger, at all degrees to 14
 LAGRANGIAN_MISFIT = 0.05
 FORCE_JUMP_FRACTION = 0.1  # fraction of the tolerance that changes of a momentum by jumps of a force may have
 STEP_RATIO = 2.0  # change along an interval, over what derivatives explain, above which L or ∂L/∂x steps there
-BEYOND = 1e-3  # how far places reach beyond a joint, over the distance of the nearest quadrature point from it
+# how far places reach beyond a joint, over the distance of the nearest quadrature point from it
+REACH_BEYOND_JOINTS = 1e-3
 ROUNDING_FACTOR = 10.0  # factor on roundoff floors: an imbalance below it may be rounding alone
 
 
@@ -209,7 +209,7 @@ class _Sampled:
         numbers, both = np.arange(len(self.h)).reshape(len(self.steps), -1), (self.x, self.v * self.h)
         beyond, last = both[varied].reshape(len(self.x), *numbers.shape).copy(), 1 + len(self._weights)
         for joint, inside, inner in ((0, 2, slice(1, None)), (1, last, slice(-1))):  # a joint may be where L steps
-            beyond[:, inner, joint] += BEYOND * (beyond[:, inner, joint] - beyond[:, inner, inside])
+            beyond[:, inner, joint] += REACH_BEYOND_JOINTS * (beyond[:, inner, joint] - beyond[:, inner, inside])
         fixed = np.repeat(numbers[:, [2, 2 + len(self._weights) // 2, last]].T, numbers.shape[1])
         place = [values[:, fixed] for values in both]
         place[varied] = np.tile(beyond.reshape(len(self.x), -1), 3)

@@ -18,8 +18,8 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 
-MARGIN = 1e-9  # part of an interval beside a joint that is left out, because a jump there is one at the joint
-INNER = gauss(4)  # rule for df/dt over a part
+JOINT_MARGIN = 1e-9  # part of an interval beside a joint that is left out, because a jump there is one at the joint
+RATE_RULE = gauss(4)  # rule for df/dt over a part
 
 
 class JumpDetector:
@@ -33,12 +33,12 @@ class JumpDetector:
 
     def __init__(self, mesh: np.ndarray, rule: Quadrature) -> None:
         self._mesh = mesh
-        self._edges = np.clip(np.append(0.0, np.cumsum(rule.weights)), MARGIN, 1 - MARGIN)
+        self._edges = np.clip(np.append(0.0, np.cumsum(rule.weights)), JOINT_MARGIN, 1 - JOINT_MARGIN)
 
     @cached_property
     def parts(self) -> np.ndarray:
         """The times as fractions of an interval; (r K,)."""
-        places = np.array([0.0, *INNER.points, 1.0])
+        places = np.array([0.0, *RATE_RULE.points, 1.0])
         return (self._edges[:-1, None] + np.diff(self._edges)[:, None] * places).ravel()
 
     @cached_property
@@ -61,6 +61,6 @@ class JumpDetector:
             a.reshape(*a.shape[:-1], *lasting.shape, -1)
             for a in (values, rates, np.broadcast_to(rounded, values.shape))
         )
-        missing = np.abs(f[..., -1] - f[..., 0] - lasting * (slopes[..., 1:-1] @ np.array(INNER.weights)))
+        missing = np.abs(f[..., -1] - f[..., 0] - lasting * (slopes[..., 1:-1] @ np.array(RATE_RULE.weights)))
         beyond = np.maximum(missing - least[..., -1] - least[..., 0], 0.0)
         return np.nansum(beyond * lasting, axis=-1)

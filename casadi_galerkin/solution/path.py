@@ -18,7 +18,7 @@ from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, p
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FINE = 4000  # times at which a path is drawn and compared; two per interval at least
+DRAWN_TIMES = 4000  # times at which a path is drawn and compared; two per interval at least
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -140,7 +140,7 @@ class Path(Table, Pictured):
     @property
     def fine_times(self) -> np.ndarray:
         """Times (K,) at which a path is drawn and compared, with all joints."""
-        return self.polynomial.times(np.linspace(0, 1, max(2, FINE // (len(self.t) - 1)), endpoint=False))
+        return self.polynomial.times(np.linspace(0, 1, max(2, DRAWN_TIMES // (len(self.t) - 1)), endpoint=False))
 
     def __repr__(self) -> str:
         """State the size and the time of the path."""

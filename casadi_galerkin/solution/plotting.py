@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 # M. Okabe and K. Ito's palette, told apart by color-blind readers
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 GRID = "0.92"  # gray that leaves the lines in front
-SIZE = (4.6, 3.2)  # inches, legible where three stand side by side on a page
-DOTS = 200  # joints beyond which their dots would hide the line
-BESIDE = 4  # number of names from which the legend is beside the axes, where it hides no line
+FIGURE_SIZE = (4.6, 3.2)  # inches, legible where three stand side by side on a page
+MOST_DOTS = 200  # joints beyond which their dots would hide the line
+LEGEND_BESIDE = 4  # number of names from which the legend is beside the axes, where it hides no line
 FRAMES_A_SECOND = 25
 
 Line: TypeAlias = tuple[np.ndarray, np.ndarray]  # times (K,) and values (d, K)
 Points: TypeAlias = Sequence[tuple[float, float]]
 
 
-def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] = SIZE, **options: Any) -> Any:
+def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] = FIGURE_SIZE, **options: Any) -> Any:
     """Matplotlib axes of a new figure in the style of the package's pictures: one, or an array of rows and columns.
 
     Parameters
@@ -60,7 +60,7 @@ def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] = SIZE, **
     return drawn
 
 
-def axes_or_new(axes: Axes | None, size: tuple[float, float] = SIZE) -> Axes:
+def axes_or_new(axes: Axes | None, size: tuple[float, float] = FIGURE_SIZE) -> Axes:
     """Return the axes given, or those of a new figure of that size in inches."""
     if axes is not None:
         if not callable(getattr(axes, "plot", None)):
@@ -97,7 +97,7 @@ def plot_path(
     name: str = "x",
     dot: float | None = None,
 ) -> Axes:
-    """Draw components over time: lines through times (K,) and values (d, K), and points as dots, if at most `DOTS`.
+    """Draw components over time: lines through times (K,) and values (d, K), points as dots, if at most `MOST_DOTS`.
 
     Without labels components have the name with an index.  Several are named by the legend, where their colors suffice.
     NaN breaks a line; `dot` is the size of a dot.
@@ -108,11 +108,11 @@ def plot_path(
     for i, (values, dots) in enumerate(zip(line[1], points[1], strict=True)):
         color = COLORS[i % len(COLORS)]
         axes.plot(line[0], values, color=color, label=names[i])
-        if len(points[0]) <= DOTS:
+        if len(points[0]) <= MOST_DOTS:
             axes.plot(points[0], dots, ".", color=color, markersize=dot)
     alone, legend = count == 1, 1 < count <= len(COLORS)
     axes.set(xlabel=time, ylabel=names[0] if alone else "" if legend and labels is not None else name)
-    if legend and count < BESIDE:
+    if legend and count < LEGEND_BESIDE:
         axes.legend(fontsize="small")
     elif legend:
         axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
@@ -122,7 +122,7 @@ def plot_path(
 def plot_family(lines: Sequence[tuple[str, np.ndarray, np.ndarray]], axes: Axes | None, label: str, time: str) -> Axes:
     """Draw one component of several paths; `lines` are their names, times (K,) and values (K,)."""
     (heading,) = _named("x", 1, [label])
-    axes = axes_or_new(axes, (SIZE[0], SIZE[1] + 0.2 * len(lines)))
+    axes = axes_or_new(axes, (FIGURE_SIZE[0], FIGURE_SIZE[1] + 0.2 * len(lines)))
     for i, (name, times, values) in enumerate(lines):
         axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
     axes.set(xlabel=time, ylabel=heading)
@@ -141,11 +141,11 @@ def plot_plane(
 ) -> Axes:
     """Draw a way through a plane: a line through places (2, K), joints (2, N + 1) as dots."""
     names = _named(name, 2, labels)
-    axes = axes_or_new(axes, (SIZE[0], 0.9 * SIZE[0]))
+    axes = axes_or_new(axes, (FIGURE_SIZE[0], 0.9 * FIGURE_SIZE[0]))
     if not axes.lines:
         axes.set_prop_cycle(color=COLORS)
     (line,) = axes.plot(*places)
-    if joints.shape[1] <= DOTS:
+    if joints.shape[1] <= MOST_DOTS:
         axes.plot(*joints, ".", color=line.get_color())
     axes.set(xlabel=names[0], ylabel=names[1])
     return axes
@@ -243,7 +243,7 @@ def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | 
     """Draw the nonzeros of a square matrix, row 0 on top; one without rows is drawn empty."""
     from matplotlib.ticker import MaxNLocator
 
-    axes, side = axes_or_new(axes, (SIZE[0], SIZE[0])), max(size, 1)
+    axes, side = axes_or_new(axes, (FIGURE_SIZE[0], FIGURE_SIZE[0])), max(size, 1)
     axes.plot(columns, rows, "s", color=COLORS[0], markersize=max(0.4, 230 / side), markeredgewidth=0)
     axes.set(xlim=(-0.5, side - 0.5), ylim=(side - 0.5, -0.5), aspect="equal", xlabel="unknown", ylabel="equation")
     axes.set_title(f"{len(rows)} nonzeros, {100 * len(rows) / side**2:.3g} % of {size} × {size}", fontsize="medium")
@@ -263,7 +263,7 @@ def animate_linkage(
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
-    axes = axes_or_new(axes, (SIZE[0], SIZE[0]))
+    axes = axes_or_new(axes, (FIGURE_SIZE[0], FIGURE_SIZE[0]))
     low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
     middle, half = (low + high) / 2, 0.55 * max(np.max(high - low), TINY)
     axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal")
@@ -302,7 +302,7 @@ def plot_work_precision(
     from matplotlib.lines import Line2D
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    axes = axes_or_new(axes, (1.2 * SIZE[0], 1.5 * SIZE[1]))
+    axes = axes_or_new(axes, (1.2 * FIGURE_SIZE[0], 1.5 * FIGURE_SIZE[1]))
 
     def draw(points: Points, **looks: Any) -> Artist:
         """An error of zero has no place on a logarithmic axis."""

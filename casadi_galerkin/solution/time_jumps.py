@@ -30,7 +30,7 @@ from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import STEPPING, entries_within
-from casadi_galerkin.solution.jump_detection import MARGIN, JumpDetector
+from casadi_galerkin.solution.jump_detection import JOINT_MARGIN, JumpDetector
 
 HALVINGS = 26  # of a part of the interval, which leave 1e-8 of it
 
@@ -112,7 +112,7 @@ def steps_in_place(
     """
     r, joints, steps = len(rule), path.mesh[1:-1], np.diff(path.mesh)
     times = JumpDetector(path.mesh, rule).times.reshape(len(steps), r, -1)
-    near = MARGIN * np.minimum(steps[:-1], steps[1:])
+    near = JOINT_MARGIN * np.minimum(steps[:-1], steps[1:])
     early, late = np.append(times[:, :, 0], joints - near), np.append(times[:, :, -1], joints + near)
     along, in_time, when = _steps(_followed(function), path, early, late, [np.hstack((a, a[:, r::r])) for a in z[2:]])
     moves = np.append(np.repeat(moving, r), moving[:-1])

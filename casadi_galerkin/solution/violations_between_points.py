@@ -25,7 +25,8 @@ from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.time_jumps import Steps, integrand, jumps_in_time, may_step, moving_phases, steps_in_place
 from casadi_galerkin.solution.trajectory import Trajectory
 
-FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
+# times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
+SAMPLING_FACTOR = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,7 @@ class BetweenPoints:
     @property
     def _samples(self) -> np.ndarray:
         """Fractions of an interval at which constraints are sampled."""
-        return sampling_parts(FINER * self.path.method.degree)
+        return sampling_parts(SAMPLING_FACTOR * self.path.method.degree)
 
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """As in `ControlTrajectory`."""

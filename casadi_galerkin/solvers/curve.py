@@ -38,10 +38,11 @@ CORRECTOR_ITERATIONS = 10  # most iterations of Newton's method in one correctio
 STEP_GROWTH, STEP_REDUCTION = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 # measured on searches for several paths: without a limit of the angle some took 3 times as long; nobody knows how long
 # a curve of loads is
-LOAD_COSINE, LOADS = 0.7, 300
-FIRST_STEP, FARTHEST = 0.1, 1e3  # arc lengths along a curve of loads, in sizes of the path it begins at
+LOAD_COSINE, LOAD_STEPS = 0.7, 300
+FIRST_LOAD_STEP, FARTHEST_LOAD = 0.1, 1e3  # arc lengths along a curve of loads, in sizes of the path it begins at
 CURVE_TOLERANCE = 0.02  # last Newton step over the arc step, where the points of a curve are not asked for
-SIMPLE = 1e-6  # |<ψ F_zz, (t, t')>| over the largest second derivative, below which a branch point is not simple
+# |<ψ F_zz, (t, t')>| over the largest second derivative, below which a branch point is not simple
+SIMPLE_BRANCH_POINT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +274,7 @@ class Curve(Generic[At]):
         along = np.array([fraction, tangent[-1]]) / np.hypot(fraction, tangent[-1])
         across = np.array([-along[1], along[0]])
         mixed, own = along @ form @ across, across @ form @ across
-        if not abs(mixed) > SIMPLE * np.max(np.abs(form)):
+        if not abs(mixed) > SIMPLE_BRANCH_POINT * np.max(np.abs(form)):
             return Crossing(z, null[:-1], None)
         direction = across - own / (2 * mixed) * along
         return Crossing(z, null[:-1], basis @ direction / np.linalg.norm(direction))
@@ -301,12 +302,12 @@ class LoadedCurve(Curve[Point]):
     def unloaded_points(self, side: float) -> Iterator[np.ndarray]:
         """Approximate paths without load, in the order in which they are met; `side` is the first sign of ṡ."""
         z = self.start
-        for point in self.walk(Point(z, self.unit(side * self.follow)), FIRST_STEP, LOADS):
+        for point in self.walk(Point(z, self.unit(side * self.follow)), FIRST_LOAD_STEP, LOAD_STEPS):
             before, z = z, point.z
             if before[-1] * z[-1] < 0:
                 fraction = before[-1] / (before[-1] - z[-1])
                 yield before[:-1] + fraction * (z - before)[:-1]
-            if self.length(z - self.start) > FARTHEST:
+            if self.length(z - self.start) > FARTHEST_LOAD:
                 return
 
     def stationary_paths(self, side: float, report: str) -> Iterator[Solution]:

@@ -18,7 +18,7 @@ from casadi_galerkin.solvers.newton import POLISHING, Solution, SolveFailure, da
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.stationarity import Stationarity
 
-DEFAULTS = {"sb": "yes", "tol": 1e-10, "max_iter": 500}
+IPOPT_DEFAULTS = {"sb": "yes", "tol": 1e-10, "max_iter": 500}
 DIVERGED = "Diverging Iterates"  # at numbers so large that nothing is left to polish
 
 
@@ -123,7 +123,7 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
         "calc_lam_p": False,
         "no_nlp_grad": True,
         "show_eval_warnings": verbose > 1,  # IPOPT shortens a step that leaves the Lagrangian's domain
-        "ipopt": {"print_level": 5 if verbose > 1 else 0, **DEFAULTS, **given},
+        "ipopt": {"print_level": 5 if verbose > 1 else 0, **IPOPT_DEFAULTS, **given},
     }
     return ca.nlpsol("ipopt", "ipopt", {"x": x, "p": p, "f": action, "g": gradient[begin:]}, options)
 

@@ -23,21 +23,21 @@ from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 
-NEARLY = 1e-9  # residual, over the sizes of its terms, from which two more Newton steps reach roundoff
-VERIFYING = 3  # most iterations of the package's own Newton method, which verifies the answer
-DEFAULTS = {"max_iter": 50, "abstol": NEARLY}
+NEAR_RESIDUAL = 1e-9  # residual, over the sizes of its terms, from which two more Newton steps reach roundoff
+VERIFYING_ITERATIONS = 3  # most iterations of the package's own Newton method, which verifies the answer
+ROOTFINDER_DEFAULTS = {"max_iter": 50, "abstol": NEAR_RESIDUAL}
 # In large units of the action, pivots beside multipliers are smaller than those that QR takes for zero.
 FACTORIZATION = {"linear_solver": "qr", "linear_solver_options": NO_CUTOFF}
-OWN = "jacobian_function", "error_on_fail", "show_eval_warnings"  # options that are set here
+RESERVED_OPTIONS = "jacobian_function", "error_on_fail", "show_eval_warnings"  # options that are set here
 
 
 def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[ca.Function, ca.Function]:
     """CasADi's Newton method as two rootfinders (guess, *data, rows) -> ξ, one after the other.
 
-    The first reduces the residual to `NEARLY` of the sizes of its terms, or stops at its limit of iterations; two more
-    steps from there, whatever the residual, take it to roundoff.  Neither is stopped by an error, which would print all
-    inputs and end a map over many at the first of them; an answer may be NaN, or no solution.  `rows` are factors on
-    the rows of ∇S = 0: one over the sizes of the terms that they sum.
+    The first reduces the residual to `NEAR_RESIDUAL` of the sizes of its terms, or stops at its limit of iterations;
+    two more steps from there, whatever the residual, take it to roundoff.  Neither is stopped by an error, which would
+    print all inputs and end a map over many at the first of them; an answer may be NaN, or no solution.  `rows` are
+    factors on the rows of ∇S = 0: one over the sizes of the terms that they sum.
     """
     derivatives = functional.function("derivatives")
     symbols, names = derivatives.mx_in(), derivatives.name_in()
@@ -48,7 +48,7 @@ def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[c
     scaled = [ca.mtimes(ca.diag(rows), matrix), rows * gradient]
     factorization = {} if "linear_solver" in options else FACTORIZATION
     common = {
-        **DEFAULTS,
+        **ROOTFINDER_DEFAULTS,
         **factorization,
         "line_search": not functional.numbering.multipliers,
         "jacobian_function": ca.Function("jacobian", symbols, scaled, names, ["matrix", "residual"]),
@@ -98,7 +98,7 @@ def casadi_root(
     try:
         if not np.all(np.isfinite(x)):
             raise SolveFailure("it is not finite", guess, iterations)
-        solution = damped_newton(stationarity, x, data, verbose, VERIFYING)
+        solution = damped_newton(stationarity, x, data, verbose, VERIFYING_ITERATIONS)
     except SolveFailure as failure:
         raise SolveFailure(
             f"the answer of CasADi's rootfinder could not be verified: {failure}; cg.newton has a line search and "
@@ -112,7 +112,7 @@ def casadi_root(
 
 def check_option(name: str, value: object) -> None:
     """Refuse an option that CasADi's Newton method does not know, by building one with it."""
-    if name in OWN:
+    if name in RESERVED_OPTIONS:
         raise ValueError(f"the option {name} of CasADi's rootfinder is set by the package, got {value!r}")
     x = ca.MX.sym("x")
     try:

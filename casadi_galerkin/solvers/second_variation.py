@@ -13,8 +13,9 @@ from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
-HIDDEN = 10 * EPS  # rounding of zᵀ∇²S y by that of the entries, over |z|ᵀ|∇²S||y|
-AGREED = 1e-3  # least terms at the points over the assembled |yᵀ∇²S y|; families at most 7e-7, regular paths 1 - 1e-5
+ROUNDING_OF_QUOTIENT = 10 * EPS  # rounding of zᵀ∇²S y by that of the entries, over |z|ᵀ|∇²S||y|
+# least terms at the points over the assembled |yᵀ∇²S y|; families at most 7e-7, regular paths 1 - 1e-5
+LEAST_POINTWISE_TERMS = 1e-3
 
 
 def smallest_curvature(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, float]:
@@ -50,11 +51,11 @@ def smallest_curvature(at: Linearization, unknowns: np.ndarray, data: Data) -> t
         rhs = weights * z
     signed, positive = (float(value[0]) for value in at.evaluate("curvature", unknowns, data, z, y))
     assembled = abs(z @ force)
-    if not (math.isfinite(signed) and AGREED * assembled < positive < math.inf):
+    if not (math.isfinite(signed) and LEAST_POINTWISE_TERMS * assembled < positive < math.inf):
         return y, 0.0
     path = slice(linear.numbering.positions)
     terms = 0.0 if symmetric else float(ca.bilin(entries[path, path], abs(z[path]), abs(y[path])))
-    return y, abs(signed) / positive if assembled > HIDDEN * terms else 0.0
+    return y, abs(signed) / positive if assembled > ROUNDING_OF_QUOTIENT * terms else 0.0
 
 
 def smallest_second_variation(stationarity: Stationarity, unknowns: np.ndarray, data: Data) -> float:

@@ -1,8 +1,8 @@
 """The step (x, p) -> (x, p) of one interval, rolled forward.
 
 Newton's iteration is part of the graph, and starts from the Taylor polynomial of the interval before.  `mapaccum`
-chains the step over a piece of up to `PIECE` intervals; then all of these are verified by their residuals, which are
-computed anew.  Python runs once per piece, however many intervals that has.
+chains the step over a piece of up to `INTERVALS_IN_A_PIECE` intervals; then all of these are verified by their
+residuals, which are computed anew.  Python runs once per piece, however many intervals that has.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.buffers import Evaluator
-from casadi_galerkin.functional.interval import TAYLOR, SlopeBasis, interval, newton_iteration
+from casadi_galerkin.functional.interval import TAYLOR_TERMS, SlopeBasis, interval, newton_iteration
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 
-PIECE = 64  # most intervals that are stepped without Python; longer pieces were not faster, but took longer to build
+# most intervals that are stepped without Python; longer pieces were not faster, but took longer to build
+INTERVALS_IN_A_PIECE = 64
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Stepper:
 
     def _predicted(self, newton: ca.Function) -> ca.Function:
         """(x, p, velocity, t, h) -> (x, p, velocity, s, iterations), the velocity by its Taylor coefficients."""
-        d, powers = self.dimension, ca.DM(range(min(TAYLOR, self.method.degree))).T
+        d, powers = self.dimension, ca.DM(range(min(TAYLOR_TERMS, self.method.degree))).T
         sizes = {"x": d, "p": d, "velocity": (d, powers.numel()), "t": 1, "h": 1}
         x, p, velocity, t, h = (ca.MX.sym(name, *np.atleast_1d(size)) for name, size in sizes.items())
         parts = ca.DM([*self.basis.points, 1.0][: self._shape[1]])  # with constraints the velocity of the end is one
@@ -175,7 +176,7 @@ class Stepper:
 def _pieces(mesh: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
     """Intervals per piece, and start times and lengths of all; the last one is repeated to fill the last piece."""
     n = len(mesh) - 1
-    count = -(-n // PIECE)
+    count = -(-n // INTERVALS_IN_A_PIECE)
     size = -(-n // count)
     pad = (0, count * size - n)
     return size, np.pad(mesh[:-1], pad, mode="edge"), np.pad(np.diff(mesh), pad, mode="edge")

@@ -41,8 +41,8 @@ from casadi_galerkin.stepping.shooting_residual import accumulated
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PARTED = 0.1  # relative gap from which its growth is no longer that of a small one
-LEVEL = 1000 * EPS  # relative gap up to which it may be the sum of rounding errors, without growth
+LARGE_GAP = 0.1  # relative gap from which its growth is no longer that of a small one
+ROUNDING_GAP = 1000 * EPS  # relative gap up to which it may be the sum of rounding errors, without growth
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ class Comparison(Table, Pictured):
         """What the gap of the steps does."""
         if np.isfinite(self.gap_growth):
             return f"grows like exp({self.gap_growth:.3g} t)"
-        if np.all(self.stepped.gap <= LEVEL):
+        if np.all(self.stepped.gap <= ROUNDING_GAP):
             return "stays at roundoff"
         return "is between roundoff and a tenth at too few joints to tell how it grows"
 
@@ -229,13 +229,13 @@ def _attempt(path: Trajectory, way: Callable[[], Trajectory]) -> Attempt:
 
 
 def _together(gap: np.ndarray) -> np.ndarray:
-    """Whether a joint lies before the first one with a gap above `PARTED`, or without a number; (N + 1,)."""
-    return np.logical_and.accumulate(gap <= PARTED)
+    """Whether a joint lies before the first one with a gap above `LARGE_GAP`, or without a number; (N + 1,)."""
+    return np.logical_and.accumulate(gap <= LARGE_GAP)
 
 
 def _growth_rate(t: np.ndarray, gap: np.ndarray) -> float:
     """Slope of log(gap) between roundoff and parting."""
-    small = (gap > LEVEL) & _together(gap)
+    small = (gap > ROUNDING_GAP) & _together(gap)
     return float(np.polyfit(t[small], np.log(gap[small]), 1)[0]) if np.count_nonzero(small) > 2 else np.nan
 
 

@@ -30,7 +30,7 @@ from casadi_galerkin.problems.problem import Problem, map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import LimitReached
 from casadi_galerkin.solution.guess import check_finite_values, sampled
-from casadi_galerkin.solution.path import FINE
+from casadi_galerkin.solution.path import DRAWN_TIMES
 from casadi_galerkin.solution.trajectory import Trajectory
 
 TIGHT, TIGHT_OPTIMUM = 1e-12, 1e-8  # tolerances of references, the latter of optimizations
@@ -57,7 +57,7 @@ def check_reference(problem: AnyProblem, given: Reference, measure: Measure | No
     elif free:
         raise TypeError(f"where the duration is free, the reference must be a Trajectory, got {given!r}")
     else:
-        times = np.linspace(*span, FINE)
+        times = np.linspace(*span, DRAWN_TIMES)
         check_finite_values("the reference", sampled("the reference", given, times, d), times)
     if measure is not None:
         quantity(measure, given)

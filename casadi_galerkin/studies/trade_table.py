@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LEAST_ERROR = 64 * EPS  # errors below cannot be told from rounding
-PLATEAU = 30.0  # errors below so many times the floor take no part in the fit of an order
+PLATEAU_FACTOR = 30.0  # errors below so many times the floor take no part in the fit of an order
 MOST_SHOWN = 40  # rows of a table; of more, only those of the front are shown
 HOW, WORDS = ("*", "degree", "rule", "intervals", "solved by"), ("*", "rule", "solved by")
-COSTS = ("unknowns", "first/ms", "solve/ms", "iterations")
-ERRORS = ("path", "at joints", "functional", "energy")
+COST_COLUMNS = ("unknowns", "first/ms", "solve/ms", "iterations")
+ERROR_COLUMNS = ("path", "at joints", "functional", "energy")
 RULES = {"Gauss": gauss, "Lobatto": lobatto, "Radau": radau}
 
 
@@ -195,7 +195,7 @@ class Trade(Table, Pictured):
         Rows to a tolerance, whose mesh is another, and of shooting, which loses digits, take no part.
         """
         fixed = [row for row in self._solved() if row.method == method and row.tol is None and not row.shooting]
-        rows = [row for row in fixed if row.error > PLATEAU * self.floor]
+        rows = [row for row in fixed if row.error > PLATEAU_FACTOR * self.floor]
         if len({row.intervals for row in rows}) < 3:
             return None
         logs = np.log([[row.intervals or 0, row.error] for row in rows])
@@ -248,11 +248,11 @@ class Trade(Table, Pictured):
         """
         front, named = self.front(), self.quantity is not None
         shown = self.rows if len(self.rows) <= MOST_SHOWN else front
-        heads = [*HOW, *COSTS, *(["error"] if named else []), *ERRORS]
+        heads = [*HOW, *COST_COLUMNS, *(["error"] if named else []), *ERROR_COLUMNS]
         table = [heads, *(_cells(row, row in front, named) for row in shown)]
         if self.reference_errors:
             errors = _errors(Row(**self.reference_errors), named)
-            table.append(["", "", "", "", "reference itself", *[""] * len(COSTS), *errors])
+            table.append(["", "", "", "", "reference itself", *[""] * len(COST_COLUMNS), *errors])
         widths = [max(len(cells[k]) for cells in table if len(cells) == len(heads)) for k in range(len(heads))]
         lines = [
             "  ".join(cell.ljust(width) if head in WORDS else cell.rjust(width) for cell, width, head in columns)

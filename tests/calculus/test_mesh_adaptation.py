@@ -11,9 +11,9 @@ from numpy.polynomial import legendre
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.mesh_adaptation import (
-    FINEST,
-    NEIGHBORS,
-    TARGET,
+    ERROR_TARGET,
+    MOST_PARTS_OF_AN_INTERVAL,
+    NEIGHBOR_RATIO,
     equidistributed,
     largest_change,
     parts_wanted,
@@ -97,7 +97,7 @@ def test_the_largest_change_may_lie_between_the_nodes():
 
 def test_an_even_mesh_with_an_error_on_target_stays():
     mesh = np.linspace(0, 1, 11)
-    np.testing.assert_allclose(better(mesh, np.full(10, TARGET * 1e-6), 5, 1e-6), mesh, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(better(mesh, np.full(10, ERROR_TARGET * 1e-6), 5, 1e-6), mesh, rtol=0, atol=1e-15)
 
 
 def test_interpolation_on_the_new_mesh_meets_the_tolerance():
@@ -126,16 +126,16 @@ def test_new_meshes_increase_keep_their_ends_and_grade_gently(seed):
     assert new[0] == mesh[0]
     assert new[-1] == mesh[-1]
     assert np.all(steps > 0)
-    assert len(new) - 1 <= FINEST * 11 + 1
+    assert len(new) - 1 <= MOST_PARTS_OF_AN_INTERVAL * 11 + 1
     # densities of old neighbors differ by at most this, and a new interval may straddle two joints
-    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBORS**2
+    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBOR_RATIO**2
 
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_intervals_grow_shorter_and_longer_step_by_step(order):
     error = np.repeat([1e-16, 1e6], 5)[::order]
     steps = np.diff(better(np.linspace(0, 1, 11), error, 6, 1e-6))
-    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBORS
+    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBOR_RATIO
 
 
 @pytest.mark.parametrize("mesh", [np.linspace(0, 1, 22), np.array([0.0, 1.0, 1.001, 2.0])], ids=["even", "narrow"])
@@ -144,20 +144,20 @@ def test_an_error_of_any_size_splits_its_interval_and_the_next_ones_so_far(mesh)
     error = np.zeros(len(mesh) - 1)
     error[middle] = 1e300
     parts, _ = np.histogram(better(mesh, error, 6, 1e-6), mesh)
-    assert FINEST - 1 <= parts[middle] <= FINEST + 1
-    assert np.max(parts) <= FINEST + 1
+    assert MOST_PARTS_OF_AN_INTERVAL - 1 <= parts[middle] <= MOST_PARTS_OF_AN_INTERVAL + 1
+    assert np.max(parts) <= MOST_PARTS_OF_AN_INTERVAL + 1
     assert np.sum(parts[: max(middle - 3, 0)]) <= middle
 
 
 def test_a_mesh_grows_by_a_quarter_at_least():
-    error = np.full(100, 1.1 * TARGET * 1e-3)
+    error = np.full(100, 1.1 * ERROR_TARGET * 1e-3)
     assert len(better(np.linspace(0, 1, 101), error, 6, 1e-3)) == 126
 
 
 def test_too_fine_a_mesh_is_made_coarser():
     mesh = np.linspace(0, 1, 101)
     assert len(better(mesh, np.full(100, 1e-15), 6, 1e-3)) < 40
-    assert len(better(mesh, np.full(100, 0.1 * TARGET * 1e-3), 6, 1e-3)) == 101  # the graph is kept
+    assert len(better(mesh, np.full(100, 0.1 * ERROR_TARGET * 1e-3), 6, 1e-3)) == 101  # the graph is kept
 
 
 @pytest.mark.parametrize("halved", [False, True])
@@ -166,7 +166,7 @@ def test_breakpoints_take_no_joint_from_an_interval_that_is_to_be_split(halved):
     breakpoints = (0.1, 0.3, 0.5, 0.8)
     mesh = np.array([0.0, *breakpoints, 1.0])
     mesh = np.sort(np.append(mesh, (mesh[1:] + mesh[:-1]) / 2)) if halved else mesh
-    error = np.where(mesh[:-1] >= 0.8, TARGET * 1e-6 * 1.9**6, 1e-16)
+    error = np.where(mesh[:-1] >= 0.8, ERROR_TARGET * 1e-6 * 1.9**6, 1e-16)
     new = better(mesh, error, 6, 1e-6, breakpoints=breakpoints)
     assert set(breakpoints) <= set(new)
     assert np.all(np.diff(new) > 0)

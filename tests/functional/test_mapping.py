@@ -19,7 +19,7 @@ def function(called=False):
 @pytest.mark.parametrize("shared", [(), (1,)])
 @pytest.mark.parametrize("count", [1, 3, 8, 13, 14])  # 13 points are three rows of four and one point
 def test_rows_give_what_the_points_give(count, shared, called, monkeypatch):
-    monkeypatch.setattr(mapping, "ROW", 5)
+    monkeypatch.setattr(mapping, "POINTS_IN_A_ROW", 5)
     f, random = function(called), np.random.default_rng(count)
     at = random.uniform(size=(2, count)), np.array([[1.7]]) if shared else random.uniform(size=(1, count))
     rows, points = mapping.by_rows(f, count, shared), mapping.one_by_one(f, count, shared)
@@ -30,7 +30,7 @@ def test_rows_give_what_the_points_give(count, shared, called, monkeypatch):
 
 
 def test_rows_can_be_differentiated(monkeypatch):
-    monkeypatch.setattr(mapping, "ROW", 5)
+    monkeypatch.setattr(mapping, "POINTS_IN_A_ROW", 5)
     f, count, at = function(), 13, np.random.default_rng(1).uniform(size=(2, 13))
     jacobians = []
     for over in (mapping.by_rows, mapping.one_by_one):
