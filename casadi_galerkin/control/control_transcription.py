@@ -144,7 +144,7 @@ class ControlTranscription:
             t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N).  Where no path
             is found from a guess, the straight line is tried
         mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
-            that, `LONGER_DURATION` times this, or what its bounds allow
+            that, four times this, or what its bounds allow
         solver : ipopt or fatrop, with or without options
         verbose : 1 prints a summary, 2 also the solver's own output
 
