@@ -27,7 +27,6 @@ from casadi_galerkin.solvers.second_variation import SINGULAR, smallest_curvatur
 from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearization, Stationarity, joined
 
 NEWTON = "Newton"  # its report
-NEARLY_CONVERGED = 1e-6  # relative step from which the next iterate can be at roundoff
 QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it needs no line search
 SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
 STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
@@ -114,7 +113,7 @@ def _iterate(
     last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
     for iteration in range(1, max_iter + 1):
         _check_going_on(linear, at, iteration)
-        end = _final_iterate(at, last)
+        end = _final_iterate(linear, at, last, data)
         if end is not None:
             drift = DRIFT * (at.norm + min(1.0, at.norm / max(last, TINY)) ** 2)
             solution = verified(linear, end, data, iteration, NEWTON, drift)
@@ -182,16 +181,21 @@ def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:
         print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
 
 
-def _final_iterate(at: Iterate, last: float) -> np.ndarray | None:
+def _final_iterate(linear: Linearization, at: Iterate, last: float, data: Data) -> np.ndarray | None:
     """The point where Newton's method may end, or None: after a step that is roundoff, or whose next one would be.
 
     Residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.  Nor does the
     ratio of the last two steps, which may be of different components: the next step is expected to be no shorter than
-    the square of this one.
+    the square of this one.  Short steps that hardly shrink may be roundoff over a small second variation, of any
+    length next to a conjugate point: they are right but for the softest direction.
     """
-    shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
-    ends = at.norm < NEARLY_CONVERGED and (shrinks or at.norm >= last / 2)
-    return at.unknowns + at.step if ends else None
+    if at.norm**2 <= EPS and at.norm**3 <= EPS * last**2:
+        return at.unknowns + at.step
+    if not last / 2 <= at.norm or last > QUADRATIC:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):  # of a singular Hessian it may be of any size
+        soft, step = softest(linear, at.unknowns, data)[0] / at.sizes, at.step / at.sizes
+        return at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY)))
 
 
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:

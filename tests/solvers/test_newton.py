@@ -142,6 +142,16 @@ def test_ends_that_are_conjugate_fail_without_a_warning():
         cg.solve(turned, cg.Galerkin(6), 8)
 
 
+@pytest.mark.parametrize(("half_periods", "after", "said"), [(1, -1e-9, "roundoff floor"), (3, 1e-13, "conjugate")])
+def test_steps_that_are_roundoff_next_to_a_conjugate_point_end_the_iterations(half_periods, after, said):
+    """They are as long as eps over the second variation, and do not shrink."""
+    end = half_periods * np.pi + after
+    oscillator = cg.BoundaryProblem(lambda t, x, v: (v[0] ** 2 - x[0] ** 2) / 2, (0, end), [0.0], [np.sin(end)])
+    with pytest.raises(cg.ConvergenceError, match=said) as caught:
+        cg.solve(oscillator, tol=1e-9)
+    assert caught.value.iterations < 40
+
+
 def test_a_search_that_ends_at_a_singular_hessian_fails_without_a_warning():
     """The next damping is not forecast from a step that does not exist."""
     problem = cg.BoundaryProblem(

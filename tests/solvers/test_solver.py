@@ -236,7 +236,8 @@ def test_options_reach_the_optimizer_of_a_control_problem():
     ],
     ids=["friction", "drag", "driven"],
 )
-def test_a_pendulum_with_a_force_is_found_from_the_straight_line(push, duration, end):
+@pytest.mark.parametrize("discretization", [{"tol": 1e-6}, *slow({"method": cg.Galerkin(4), "intervals": 200})])
+def test_a_pendulum_with_a_force_is_found_from_the_straight_line(push, duration, end, discretization):
     problem = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 + 4 * ca.cos(x[0]),
         (0.0, duration),
@@ -244,7 +245,7 @@ def test_a_pendulum_with_a_force_is_found_from_the_straight_line(push, duration,
         [end],
         force=lambda t, x, v: ca.vertcat(push(t, v[0])),
     )
-    path = cg.solve(problem, tol=1e-6)
+    path = cg.solve(problem, **discretization)
     thrown = solve_ivp(
         lambda t, y: [y[1], -4 * np.sin(y[0]) + float(push(t, y[1]))],
         (0.0, duration),
