@@ -191,16 +191,21 @@ def compare(
     path = solve(problem, method, intervals, mesh=mesh, guess=guess)
     solved = path.problem
     assert isinstance(solved, BoundaryProblem)
-    start = InitialProblem(
-        problem.lagrangian,
-        solved.t_span,
-        path.x[:, 0].tolist(),
-        momentum=path.momentum[:, 0].tolist(),
-        parameters=problem.parameters,
-        force=problem.force,
-        constraint=problem.constraint,
-    )
-    stepped = _attempt(path, lambda: solve(start, method, mesh=path.t))
+
+    def steps() -> Trajectory:
+        """The steps from the start of the global path, which may have no mass there."""
+        start = InitialProblem(
+            problem.lagrangian,
+            solved.t_span,
+            path.x[:, 0].tolist(),
+            momentum=path.momentum[:, 0].tolist(),
+            parameters=problem.parameters,
+            force=problem.force,
+            constraint=problem.constraint,
+        )
+        return solve(start, method, mesh=path.t)
+
+    stepped = _attempt(path, steps)
     shooting = _attempt(path, lambda: shoot(problem, method, intervals, mesh=mesh, guess=guess))
     return Comparison(
         path,
