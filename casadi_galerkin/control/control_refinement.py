@@ -28,7 +28,13 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.control.control_transcription import SHORTEST_STEP, transcribed_control
 from casadi_galerkin.control.idle_breakpoints import switch_times, with_joined_phases, with_parted_phases
 from casadi_galerkin.control.starts import distinct_optima, optima_of
-from casadi_galerkin.control.two_comparisons import BESIDE_FIXED, TwoComparisons, compared, from_near
+from casadi_galerkin.control.two_comparisons import (
+    BESIDE_FIXED,
+    LEAST_PARTS,
+    TwoComparisons,
+    compared,
+    from_near,
+)
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times
@@ -161,7 +167,8 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         joints = switch_times(detail.better) if idle else ()
         # the cost may be of first order in the error of the path, as a duration is
         tol = max(self.tol, detail.change * self.tol / detail.errors[0]) if self.of_cost else self.tol
-        return self.scaled(detail.mesh(tol, joints), detail.better)
+        least = LEAST_PARTS if level is self.best[0] else 1.0  # after a level that came no nearer none are merged
+        return self.scaled(detail.mesh(tol, joints, least), detail.better)
 
     def check_meshes_help(self, detail: TwoComparisons) -> None:
         """Stop where no mesh reduces the error: that of a step, or the remaining solver error on two meshes."""

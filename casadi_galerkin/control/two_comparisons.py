@@ -131,8 +131,11 @@ class TwoComparisons:
         """Relative error of durations, and of x at the same fractions of phases."""
         return SAFETY * max(_distance(self.path, other) for other in (self.same, self.better))
 
-    def mesh(self, tol: float, joints: Iterable[float] = ()) -> np.ndarray:
-        """Joints in the time of the better path, some of them given, with which x should be known to `tol`."""
+    def mesh(self, tol: float, joints: Iterable[float], least: float) -> np.ndarray:
+        """Joints in the time of the better path, some of them given, with which x should be known to `tol`.
+
+        Its intervals become at least `least` parts each.
+        """
         mesh, degree, between = self.better.t, self.path.method.degree, self.better.between_points
         fixed = tuple(sorted({*self.better.problem.breakpoints, *joints}))
         errors, smooth = beyond_degree(self.better)
@@ -140,7 +143,7 @@ class TwoComparisons:
         parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
         parts = np.maximum(parts, parts_wanted(between.common_excess, KINK_ORDER, tol))
         parts = np.maximum(parts, parts_wanted(self.of_cost(1.0) * between.jump_effects, 1, tol))
-        cumulated = np.append(0.0, np.cumsum(np.clip(parts, LEAST_PARTS, MOST_PARTS)))
+        cumulated = np.append(0.0, np.cumsum(np.clip(parts, least, MOST_PARTS)))
         counts = np.diff(np.interp([mesh[0], *fixed, mesh[-1]], mesh, cumulated))
         return spread_over(mesh, cumulated, max(FEWEST, int(np.ceil(counts).sum())), fixed)
 
