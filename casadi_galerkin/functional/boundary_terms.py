@@ -15,7 +15,7 @@ only, the term is that of a given momentum.  If it also depends on velocities th
 unknowns.  Each of them has one more equation, which says that ∂L/∂v of its component is the momentum there.  Where the
 position is not given, that is the momentum of the natural condition.  Where the position is given, it is the momentum
 of the path, -∂S/∂x_0 or ∂S/∂x_N.  The position is then an unknown, so that its row of ∇S states this, and the equation
-x = given is imposed on it (`imposed` below).
+x = given is imposed on it (`given_unknowns` below).
 """
 
 from __future__ import annotations
@@ -89,14 +89,14 @@ def rows_of_ends(problem: BoundaryProblem, plane: np.ndarray | None) -> tuple[ca
     whose given positions are imposed by equations (see the module).
     """
     statement, d, given = _Statement(problem), problem.dimension, given_values(problem, plane)
-    x, imposed = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.imposed
+    x, given_unknowns = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.given_unknowns
     if statement.at_ends is None:
-        return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), imposed
+        return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), given_unknowns
     term = statement.at_ends[0]
-    positions = [problem.start[i] for i in imposed[0]] + [problem.end[i] for i in imposed[1]]
+    positions = [problem.start[i] for i in given_unknowns[0]] + [problem.end[i] for i in given_unknowns[1]]
     eta = ca.SX.sym("eta", term.size1_in(0) - 2 * d - len(positions))
     rows = term(ca.vertcat(*x, eta, *positions), problem.t_span, problem.parameters or [], given)[1]
-    return ca.Function("rows", [*x, eta], [rows[: 2 * d + eta.numel()]]), imposed
+    return ca.Function("rows", [*x, eta], [rows[: 2 * d + eta.numel()]]), given_unknowns
 
 
 class _Statement:
@@ -106,7 +106,7 @@ class _Statement:
     ----------
     fixed : components of the start and of the end whose positions are given
     velocities : EndVelocities at the start and at the end
-    imposed : components at the start and at the end whose given positions are unknowns, fixed by equations of a term
+    given_unknowns : components at the start and at the end whose given positions are unknowns, fixed by an equation
     at_ends : Function of the term of the ends, and whether its jacobian is symmetric; None where there is no such term
     """
 
@@ -117,7 +117,7 @@ class _Statement:
         ]
         self.velocities = end_velocities(problem)
         ends = zip(self.velocities, self.fixed, strict=True)
-        self.imposed = [[i for i in velocities.unknown if i in fixed] for velocities, fixed in ends]
+        self.given_unknowns = [[i for i in velocities.unknown if i in fixed] for velocities, fixed in ends]
         self.at_ends = self._ends()
 
     @cached_property
@@ -135,8 +135,10 @@ class _Statement:
         d, free_duration = self.problem.dimension, self.problem.energy is not None
         constrained = self._constrained(intervals * method.degree).items()
         multipliers = sum(len(rows) * len(nodes) for rows, nodes in constrained)
-        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.imposed))
-        ends = self.fixed[0], self.fixed[1], tuple(self.imposed[0]), tuple(self.imposed[1])
+        multipliers += (
+            0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.given_unknowns))
+        )
+        ends = self.fixed[0], self.fixed[1], tuple(self.given_unknowns[0]), tuple(self.given_unknowns[1])
         return Numbering(method, intervals, d, *ends, self.problem.periodic, multipliers, free_duration)
 
     def _constrained(self, last: int) -> dict[tuple[int, ...], list[int]]:
@@ -167,8 +169,8 @@ class _Statement:
             terms.append(LocalTerm(self._constraint(rows), entries, _node_times(numbering, at), True))
         if self.at_ends is not None:
             function, symmetric = self.at_ends
-            ends = zip(numbering.of_ends, self.imposed, strict=True)
-            given = [numbering.free + numbers[imposed] for numbers, imposed in ends]
+            ends = zip(numbering.of_ends, self.given_unknowns, strict=True)
+            given = [numbering.free + numbers[given_unknowns] for numbers, given_unknowns in ends]
             entries = np.concatenate((*numbering.of_nodes[[0, -1]], multipliers, *given))[:, None]
             terms.append(LocalTerm(function, entries, _node_times(numbering, np.array([0, last])), symmetric))
         return tuple(terms)
@@ -219,22 +221,24 @@ class _Statement:
             rows += ca.jtimes(further, positions, multipliers, True)
         symmetric = True
         given_positions: list[ca.SX] = []
-        for k, (end, imposed) in enumerate(zip(self.velocities, self.imposed, strict=True)):
+        for k, (end, given_unknowns) in enumerate(zip(self.velocities, self.given_unknowns, strict=True)):
             given, unknown = end.given, end.unknown
-            velocities, positions_here = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(imposed))
+            velocities, positions_here = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(given_unknowns))
             v = stated[END_MOTIONS[k]]
             v[unknown] = velocities
             momentum = (-1) ** k * self._called(partial(momentum_at, problem.lagrangian), t[k], x[k], v)
-            natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in imposed]
-            further = ca.vertcat(further, *natural, *(x[k][i] - positions_here[j] for j, i in enumerate(imposed)))
-            for i in (*given, *imposed):
+            natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in given_unknowns]
+            further = ca.vertcat(
+                further, *natural, *(x[k][i] - positions_here[j] for j, i in enumerate(given_unknowns))
+            )
+            for i in (*given, *given_unknowns):
                 rows[k * d + i] = momentum[i]
             unknowns, given_positions = [*unknowns, velocities], [*given_positions, positions_here]
             if unknown or ca.jacobian(momentum[given], positions).nnz():
                 symmetric = False
             else:
                 work += sum(momentum[i] * x[k][i] for i in given)
-        rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.imposed))))
+        rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.given_unknowns))))
         added = ca.vertcat(action, work)
         return self._function("ends", ca.vertcat(positions, *unknowns, *given_positions), t, added, rows), symmetric
 

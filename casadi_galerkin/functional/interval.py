@@ -135,7 +135,7 @@ class Interval:
         by_s, by_start, direct, along = partial(ca.vec(at[0]), *at[1:])
         return ca.Function("step_jacobian", at, [direct - ca.mtimes(along, _solved(by_s, by_start, shape, d))])
 
-    def stretched(self) -> Interval:
+    def with_free_duration(self) -> Interval:
         """The same equations with the stretch λ as last component of x (see the module); its slopes are zero."""
         (rows, columns), d = self.system.size_in(0), self.system.size1_in(1)
         s, x, p = ca.SX.sym("s", rows + 1, columns), ca.SX.sym("x", d + 1), ca.SX.sym("p", d + 1)

@@ -29,7 +29,7 @@ class Numbering:
     intervals : int, N
     dimension : int, d
     fixed_start, fixed_end : indices of the components that are given at the ends
-    imposed_start, imposed_end : those of them that are unknowns nevertheless, which an equation of a term fixes
+    given_unknowns_start, given_unknowns_end : those of them that are unknowns nevertheless, fixed by equations of a term
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
     free_duration : bool, whether the duration is unknown; the last of ξ is then the logarithm of its ratio to that of
@@ -41,8 +41,8 @@ class Numbering:
     dimension: int
     fixed_start: tuple[int, ...]
     fixed_end: tuple[int, ...]
-    imposed_start: tuple[int, ...]
-    imposed_end: tuple[int, ...]
+    given_unknowns_start: tuple[int, ...]
+    given_unknowns_end: tuple[int, ...]
     periodic: bool
     multipliers: int
     free_duration: bool
@@ -63,7 +63,7 @@ class Numbering:
         nodes = np.zeros((self.intervals * self.method.degree + 1, self.dimension), dtype=np.int64)
         given = np.zeros(nodes.shape, dtype=bool)
         given[[0, -1]] = self.of_ends >= 0
-        given[0, list(self.imposed_start)] = given[-1, list(self.imposed_end)] = False
+        given[0, list(self.given_unknowns_start)] = given[-1, list(self.given_unknowns_end)] = False
         free = ~given[: self.distinct]
         nodes[: self.distinct][free] = np.arange(self.positions)
         nodes[[0, -1]] = np.where(given[[0, -1]], self.free + self.of_ends, nodes[[0, -1]])
@@ -92,8 +92,8 @@ class Numbering:
     @cached_property
     def positions(self) -> int:
         """Number of free values of the path."""
-        imposed = len(self.imposed_start) + len(self.imposed_end)
-        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end) + imposed
+        given_unknowns = len(self.given_unknowns_start) + len(self.given_unknowns_end)
+        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end) + given_unknowns
 
     @cached_property
     def free(self) -> int:

@@ -78,7 +78,7 @@ class Stepper:
         self.dimension, self.basis = lagrangian.size1_in(1) + free_duration, SlopeBasis(method.degree)
         self.interval = interval(lagrangian, force, constraint, method)
         if free_duration:
-            self.interval = self.interval.stretched()
+            self.interval = self.interval.with_free_duration()
         self._shape = self.interval.system.size_in(0)
         self._newton = newton_iteration(self.interval.system, lagrangian.size1_in(1))
         self._step = self._predicted(self._newton)
