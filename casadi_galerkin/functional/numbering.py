@@ -29,7 +29,7 @@ class Numbering:
     intervals : int, N
     dimension : int, d
     fixed_start, fixed_end : indices of the components that are given at the ends
-    given_unknowns_start, given_unknowns_end : those of them that are unknowns nevertheless, fixed by equations of a term
+    given_unknowns_start, given_unknowns_end : those of them that stay unknowns, which an equation of a term fixes
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
     free_duration : bool, whether the duration is unknown; the last of ξ is then the logarithm of its ratio to that of
