@@ -139,7 +139,6 @@ def test_no_path_through_the_sun_is_returned(start, end, duration, tol, beside):
     with pytest.raises(cg.LimitReached, match="give a guess that leads around it"):
         cg.solve(problem, tol=tol, guess=(np.array([0.0, duration]), line))
     around = cg.solve(problem, tol=tol)  # without a guess, another path is searched for
-    assert around.solver == "Newton; first path by random guesses"
     flown = solve_ivp(
         lambda t, y: [*y[2:], *(-y[:2] / np.hypot(*y[:2]) ** 3)],
         (0.0, duration),
