@@ -178,7 +178,7 @@ def test_an_earlier_answer_starts_warm_and_saves_iterations(name):
     np.testing.assert_allclose(warm.x, by_path.x, rtol=0, atol=SOLVED)
     np.testing.assert_allclose(warm.costate.values, by_path.costate.values, rtol=1e-6, atol=1e-6)
     assert warm.iterations <= 0.75 * by_path.iterations
-    assert program.solve(guess=known).iterations <= 4  # after so many acceptable ones IPOPT ends, whatever rounding does
+    assert program.solve(guess=known).iterations <= 4  # so many acceptable ones end it
 
 
 def test_a_warm_start_does_not_depend_on_who_found_the_answer():
