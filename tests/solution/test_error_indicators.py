@@ -325,7 +325,7 @@ def test_over_a_kink_in_x_there_is_no_second_variation():
         return np.where(t < np.sqrt(2), 1 - t**2 / 2, (t - np.sqrt(8)) ** 2 / 2 - 1)
 
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.fabs(x[0]), (0.0, 2.5), [1.0], [float(swing(2.5))])
-    path = cg.solve(problem, tol=1e-6, guess=lambda t: [swing(t)])
+    path = cg.solve(problem, tol=1e-6)
     np.testing.assert_allclose(path.x[0], swing(path.t), rtol=0, atol=1e-5)
     assert path.morse_index is None
     assert path.regularity is None
