@@ -9,7 +9,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
-from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discretization
+from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import GraphCache, Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of

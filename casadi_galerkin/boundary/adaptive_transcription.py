@@ -17,9 +17,9 @@ from weakref import WeakKeyDictionary
 
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.neighboring_problems import ends_replaced, interpolated_problem, same_statement
-from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.transcription import GraphCache, check_given
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.several_paths import (
     RESOLVED_BY,
     SAME_PATH,

@@ -11,8 +11,8 @@ from scipy.special import dawsn, jv
 from slow import slow
 
 import casadi_galerkin as cg
+from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement
 from casadi_galerkin.boundary.error_estimate import agreement, discretization_error
-from casadi_galerkin.boundary.refinement import BoundaryRefinement
 from casadi_galerkin.boundary.transcription import GraphCache
 
 TOLERANCES = (1e-3, 1e-6, 1e-12)
