@@ -179,28 +179,13 @@ def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
 
 
 @pytest.mark.parametrize("asked", [{"tol": 1e-2}, {"cost_tol": 1e-3}], ids=list)
-@pytest.mark.parametrize("half", [0.005, *slow(0.002)])
-def test_a_wall_thinner_than_an_interval_is_not_flown_through(half, asked):
+def test_a_wall_thinner_than_an_interval_is_not_flown_through(asked):
     """An ellipse: to move along the path changes its distance most, and does not help."""
-    wall = lambda t, x, v, u: ((x[0] - 0.53) / half) ** 2 + ((x[1] - 0.03) / 0.1) ** 2  # noqa: E731
+    wall = lambda t, x, v, u: ((x[0] - 0.53) / 0.005) ** 2 + ((x[1] - 0.03) / 0.1) ** 2  # noqa: E731
     flight = plane(t_span=(0.0, 1.0), path_constraint=(wall, 1.0, np.inf))
     with suppress(cg.LimitReached):
         path = cg.solve(flight, limits=cg.Limits(seconds=3), **asked)
         assert path.cost == pytest.approx(6.472, rel=2e-2)
-
-
-@pytest.mark.slow
-def test_an_obstacle_that_is_met_does_not_count_by_its_excess_in_the_cost():
-    """A square of half side 0.02, met at two corners: the multipliers tell what its excess costs."""
-    flight = plane(
-        t_span=(0.0, 1.0),
-        start=[-1.0, 0.002],
-        end=[1.0, 0.002],
-        path_constraint=(lambda t, x, v, u: ca.fmax(ca.fabs(x[0]), ca.fabs(x[1])), 0.02, np.inf),
-    )
-    path = cg.solve(flight, cost_tol=1e-6)
-    assert path.cost == pytest.approx(24.0311366, rel=1e-6)
-    assert len(path.t) < 30
 
 
 def test_an_impulse_shorter_than_the_distance_of_the_first_point_is_seen():

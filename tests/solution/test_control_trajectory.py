@@ -300,9 +300,3 @@ def test_costate_jumps_with_the_velocity_that_the_cost_depends_on(curvature):
     times = np.array([0.3, 0.45, 0.499, 0.501, 0.7])
     slope = cg.solve(race(curvature), cg.Galerkin(4), 4).costate(times)[0] - (times - 0.5)
     np.testing.assert_allclose(slope, -curvature * np.sign(0.5 - times), rtol=0, atol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_switch_at_which_the_costate_jumps_is_not_sought_elsewhere():
-    path = cg.solve(race(0.01), tol=1e-6)
-    assert abs(path.cost / -0.255 - 1) <= path.cost_error < 1e-6
