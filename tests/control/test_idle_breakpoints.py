@@ -86,7 +86,8 @@ def test_the_path_is_known_and_the_breakpoint_is_the_switch(name):
     assert path.problem.duration_bounds == make().duration_bounds
 
 
-def test_a_rocket_lands_as_in_closed_form(tol=1e-4):
+def test_a_rocket_lands_as_in_closed_form():
+    tol = 1e-4
     scene = script("moon_landing")
     fall, burn = fsolve(lambda times: scene.landed(*times), (0.5, 1.1), xtol=1e-14)
     path = cg.solve(scene.problem(hold=False), tol=tol)
