@@ -30,7 +30,7 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
-from casadi_galerkin.stepping.initial_value import integrate
+from casadi_galerkin.stepping.initial_value import integrate, to_tolerance
 
 
 @overload
@@ -87,11 +87,13 @@ def solve(
     the largest value of each component, is at most `tol`; `method` then fixes the degree, and `intervals` or `mesh`
     are where refinement begins.
 
-    An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`; a `ControlProblem`, whose
-    answer is a ControlTrajectory, by IPOPT or fatrop, with these or a tolerance, and a `guess`.  Its `tol` bounds the
-    relative errors of cost and duration as well, but not those of controls and free parameters.  `cost_tol` bounds that
-    of the cost alone, which is known long before the path, and even where many paths cost the same.  An earlier answer
-    to a tolerance, as guess, brings its mesh, where it has more intervals than refinement else begins with.
+    An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`, or with `tol`: all steps are
+    then halved until the error is small enough, and stay equal, as conserving energy wants.  A `ControlProblem`, whose
+    answer is a ControlTrajectory, is solved by IPOPT or fatrop, with these or a tolerance, and a `guess`.  Its `tol`
+    bounds the relative errors of cost and duration as well, but not those of controls and free parameters.  `cost_tol`
+    bounds that of the cost alone, which is known long before the path, and even where many paths cost the same.  An
+    earlier answer to a tolerance, as guess, brings its mesh, where it has more intervals than refinement else begins
+    with.
 
     Parameters
     ----------
@@ -99,9 +101,13 @@ def solve(
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    tol : relative tolerance between 0 and 1; for boundary and control problems
+    tol : relative tolerance between 0 and 1
     cost_tol : in place of `tol`, for a ControlProblem
-    guess : as for `Transcription.solve` and `ControlTranscription.solve`; for boundary and control problems
+    guess : of a boundary or control problem, where the search begins; default the straight line between the ends.  A
+        callable t -> d numbers; a pair (times, values) of arrays (K,) and (d, K); an array (d, N + 1) of values at
+        the joints; an earlier answer, or what `load` has read of it.  For a ControlProblem also a pair (path, controls)
+        of one of these, or None, and a callable t -> n numbers.  `Transcription.solve` and
+        `ControlTranscription.solve` have all forms
     solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt (the default) or
         fatrop for a ControlProblem; each also ``.with_options(...)``
     limits : Limits that stop a refinement, by default after 120 s; only with a tolerance
@@ -138,15 +144,15 @@ def solve(
         several = "`paths` finds several paths of a BoundaryProblem"
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
     tolerance = _tolerance(problem, tol, cost_tol)
+    _check_limits(limits, tolerance)
     if isinstance(problem, InitialProblem):
-        options = {"tol": tol, "limits": limits, "guess": guess, "solver": solver}
-        extra = [name for name, value in options.items() if value is not None]
+        extra = [name for name, value in {"guess": guess, "solver": solver}.items() if value is not None]
         if extra:
             raise ValueError(f"an InitialProblem is solved step by step, and takes no {' and '.join(extra)}")
-        if method is None:
-            raise ValueError("give a method and intervals, got no method")
-        return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), verbose)
-    _check_limits(limits, tolerance)
+        steps = partial(integrate, problem, verbose=verbose)
+        if tolerance is not None:
+            return to_tolerance(steps, problem, tolerance, method, intervals, mesh, limits or Limits())
+        return steps(_given(method), mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
     if solver is None:
         solver = ipopt if isinstance(problem, ControlProblem) else newton
     if tolerance is None:
@@ -188,11 +194,16 @@ def _graph(
     mapping: PointMap = by_rows,
 ) -> Transcription | ControlTranscription:
     """Build the graph of a fixed discretization; `mapping` is how terms are evaluated at many points."""
+    if isinstance(problem, ControlProblem):
+        return transcribed_control(problem, _given(method), intervals, mesh, mapping)
+    return transcribed(problem, _given(method), intervals, mesh, mapping)
+
+
+def _given(method: Galerkin | None) -> Galerkin:
+    """Refuse that neither a method nor a tolerance is given."""
     if method is None:
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
-    if isinstance(problem, ControlProblem):
-        return transcribed_control(problem, method, intervals, mesh, mapping)
-    return transcribed(problem, method, intervals, mesh, mapping)
+    return method
 
 
 def _check_limits(limits: Limits | None, tol: float | None) -> None:

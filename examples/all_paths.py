@@ -59,7 +59,7 @@ def draw(answer):
         ("angle in rad", "part of the way"),
     )
     for axes, paths, title, (label, time) in zip(panels, answer, titles, names, strict=True):
-        paths.plot(axes=axes, label=label, time=time).set_title(title)
+        paths.plot(axes=axes, labels=label, time=time).set_title(title)
         indices = [f"index {path.morse_index}" for path in paths]
         axes.legend(axes.lines, indices, fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     return axes.figure

@@ -54,15 +54,17 @@ def test_neither_method_nor_tolerance_is_refused():
         cg.solve(BY_NAME["oscillator 1.0"].problem)
 
 
-def test_an_initial_problem_takes_a_method_and_no_guess_solver_or_tolerance():
+def test_an_initial_problem_takes_a_method_or_a_tolerance_and_no_guess_or_solver():
     problem = start_of("pendulum", 5)
-    for option in ({"guess": lambda t: [0.0]}, {"solver": cg.ipopt}, {"tol": 1e-6}):
+    for option in ({"guess": lambda t: [0.0]}, {"solver": cg.ipopt}):
         with pytest.raises(ValueError, match=f"step by step, and takes no {min(option)}$"):
             cg.solve(problem, cg.Galerkin(3), intervals=5, **option)
     with pytest.raises(TypeError, match="method must be a Galerkin"):
         cg.solve(problem, 3, intervals=5)
-    with pytest.raises(ValueError, match="got no method"):
+    with pytest.raises(TypeError, match="got None; or give tol instead"):
         cg.solve(problem, intervals=5)
+    with pytest.raises(ValueError, match="limits stop a refinement: give tol with them"):
+        cg.solve(problem, cg.Galerkin(3), 5, limits=cg.Limits())
     with pytest.raises(ValueError, match="give either intervals or mesh"):
         cg.solve(problem, cg.Galerkin(3))
 

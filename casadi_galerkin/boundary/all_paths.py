@@ -92,20 +92,22 @@ class Paths(Pictured):
     def __iter__(self) -> Iterator[Trajectory]:
         return iter(self.trajectories)
 
-    def plot(self, component: int = 0, axes: Axes | None = None, label: str | None = None, time: str = "t") -> Axes:
+    def plot(
+        self, component: int = 0, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t"
+    ) -> Axes:
         """Draw one component of all paths into one picture; returns the Matplotlib axes.
 
         Parameters
         ----------
         component : which, from 0 to d - 1
         axes : Matplotlib axes to draw into; default a new figure
-        label : name of the component with its unit
+        labels : name of the component with its unit
         time : name of the time with its unit
         """
         checked_index("component", component, len(self[0].x))
         drawn = [(f"action {path.action:.6g}, {index_in_words(path)}", path._line()) for path in self]
         lines = [(name, times, values[component]) for name, (times, values) in drawn]
-        return plot_family(lines, axes, label or f"x[{component}]", time)
+        return plot_family(lines, axes, f"x[{component}]" if labels is None else labels, time)
 
     def __repr__(self) -> str:
         """Tabulate the paths, and say how many were dropped and why the search ended."""
@@ -152,7 +154,7 @@ def paths(
     Parameters
     ----------
     problem : BoundaryProblem
-    method : Galerkin; with a tolerance it fixes the degree
+    method : Galerkin, default degree 8; with a tolerance it fixes the degree
     intervals : number of equal intervals; or
     count : number of paths at which the search ends
     tol : relative tolerance between 0 and 1, in place of `method` and `intervals`, which are then where it begins
@@ -187,9 +189,7 @@ def paths(
     check_method(method, optional=True)
     refine = None
     if tol is None:
-        if method is None:
-            raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
-        transcription = transcribed(problem, method, intervals, mesh)
+        transcription = transcribed(problem, method or Galerkin(8), intervals, mesh)
     else:
         method, joints = first_discretization(problem, check_tolerance(tol), method, intervals, mesh)
         if intervals is None and mesh is None:

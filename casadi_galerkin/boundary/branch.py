@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import checked_index, counted, finite
+from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_branches
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -115,7 +116,13 @@ class Branch:
     origin: BranchPoint | None = None
     missed: tuple[int, ...] = ()
 
-    def plot(self, height: Height, axes: Axes | None = None, parameter: int = 0) -> Axes:
+    def plot(
+        self,
+        height: Height | None = None,
+        axes: Axes | None = None,
+        labels: Sequence[str] | None = None,
+        parameter: int = 0,
+    ) -> Axes:
         """Draw one number of every path over one parameter, by Morse index; returns Matplotlib's axes.
 
         Minima of the action, of index 0, are drawn as full lines, all others dashed, folds as crosses and branch points
@@ -123,11 +130,13 @@ class Branch:
 
         Parameters
         ----------
-        height : Path -> number to draw, such as ``lambda path: path(0.5)[0]``; at a fold, the path is no Trajectory
-        axes : Matplotlib axes to draw into, labeled by their owner; default a new figure, labeled by the parameter
+        height : Path -> number to draw, such as ``lambda path: path(0.5)[0]``; at a fold, the path is no Trajectory.
+            The default is the root mean square of x over time, the same for a path and its mirror image
+        axes : Matplotlib axes to draw into, which keep their labels; default a new figure
+        labels : names of the parameter and of the height, with units
         parameter : which, from 0 to n - 1
         """
-        return _drawn([self], height, axes, parameter)
+        return _drawn([self], height, axes, labels, parameter)
 
     def __repr__(self) -> str:
         """Summarize the branch."""
@@ -188,9 +197,15 @@ class Diagram:
             points |= {id(point.path): points.get(id(point.path), point) for point in branch.branch_points}
         return tuple(points.values())
 
-    def plot(self, height: Height, axes: Axes | None = None, parameter: int = 0) -> Axes:
+    def plot(
+        self,
+        height: Height | None = None,
+        axes: Axes | None = None,
+        labels: Sequence[str] | None = None,
+        parameter: int = 0,
+    ) -> Axes:
         """Draw all branches into one picture, as `Branch.plot` draws one, with the same arguments."""
-        return _drawn(self.branches, height, axes, parameter)
+        return _drawn(self.branches, height, axes, labels, parameter)
 
     def __repr__(self) -> str:
         """Summarize all branches."""
@@ -208,8 +223,26 @@ class Diagram:
         return "\n".join(lines)
 
 
-def _drawn(branches: Sequence[Branch], height: Height, axes: Axes | None, parameter: int) -> Axes:
-    if not callable(height):
+def root_mean_square(path: Path) -> float:
+    """Root of the mean of x·x over time, exact for the polynomial."""
+    polynomial = path.polynomial
+    rule, steps = gauss(polynomial.degree + 1), np.diff(polynomial.mesh)
+    squares = np.sum(polynomial.values_at_parts(np.array(rule.points)) ** 2, axis=0)
+    return float(np.sqrt(steps @ squares @ rule.weights / np.sum(steps)))
+
+
+def _drawn(
+    branches: Sequence[Branch],
+    height: Height | None,
+    axes: Axes | None,
+    labels: Sequence[str] | None,
+    parameter: int,
+) -> Axes:
+    if height is None:
+        height, name = root_mean_square, "root mean square of x"
+    elif callable(height):
+        name = "height"
+    else:
         raise TypeError(f"height must be a callable Path -> number, got {height!r}")
     checked_index("parameter", parameter, branches[0].parameters.shape[1])
 
@@ -226,7 +259,6 @@ def _drawn(branches: Sequence[Branch], height: Height, axes: Axes | None, parame
         drawn.append(places)
     folds = [place(fold, fold.parameters) for branch in branches for fold in branch.folds]
     points = [place(point, point.parameters) for branch in branches for point in branch.branch_points]
-    picture = plot_branches(drawn, folds, points, axes)
-    if axes is None:
-        picture.set(xlabel=f"p[{parameter}]", ylabel="height")
-    return picture
+    if labels is None and axes is None:
+        labels = f"p[{parameter}]", name
+    return plot_branches(drawn, folds, points, axes, labels)

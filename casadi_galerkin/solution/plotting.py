@@ -119,9 +119,11 @@ def plot_path(
     return axes
 
 
-def plot_family(lines: Sequence[tuple[str, np.ndarray, np.ndarray]], axes: Axes | None, label: str, time: str) -> Axes:
+def plot_family(
+    lines: Sequence[tuple[str, np.ndarray, np.ndarray]], axes: Axes | None, labels: Sequence[str], time: str
+) -> Axes:
     """Draw one component of several paths; `lines` are their names, times (K,) and values (K,)."""
-    (heading,) = _named("x", 1, [label])
+    (heading,) = _named("x", 1, labels)
     axes = axes_or_new(axes, (FIGURE_SIZE[0], FIGURE_SIZE[1] + 0.2 * len(lines)))
     for i, (name, times, values) in enumerate(lines):
         axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
@@ -164,10 +166,10 @@ def plot_poses(points: np.ndarray, trail: np.ndarray, axes: Axes | None) -> Axes
 
 
 def _named(name: str, count: int, labels: Sequence[str] | None) -> Sequence[str]:
-    """Names of the components."""
+    """Names of the components; a string is the name of one."""
     if labels is None:
         return [f"{name}[{i}]" for i in range(count)]
-    given = np.asarray(labels, dtype=object)  # a set has no order, and is refused
+    given = np.atleast_1d(np.asarray(labels, dtype=object))  # a set has no order, and is refused
     if given.shape != (count,) or not all(isinstance(label, str) for label in given):
         raise ValueError(f"labels of {name} must be {counted(count, 'name')}, one per component, got {labels!r}")
     return given.tolist()
@@ -210,6 +212,7 @@ def plot_branches(
     folds: Points,
     branch_points: Points,
     axes: Axes | None,
+    labels: Sequence[str] | None,
 ) -> Axes:
     """Draw branches of points, each with its Morse index, value and height: one color an index, dashed if not zero.
 
@@ -236,6 +239,8 @@ def plot_branches(
     if branch_points:
         draw(branch_points, "ko", "branch point", markersize=7, fillstyle="none")
     axes.legend(fontsize="small")
+    if labels is not None:
+        axes.set(**dict(zip(("xlabel", "ylabel"), _named("the diagram", 2, labels), strict=True)))
     return axes
 
 

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
+from casadi_galerkin.calculus.mesh_adaptation import FEWEST, higher_degree_method, largest_difference, method_for
 from casadi_galerkin.calculus.numbers import told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
+from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.stationarity import ACCEPTED
@@ -40,6 +44,44 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     if verbose:
         print(path)
     return path
+
+
+def to_tolerance(
+    steps: Callable[[Galerkin, np.ndarray], Trajectory],
+    problem: InitialProblem | BoundaryProblem,
+    tol: float,
+    method: Galerkin | None,
+    intervals: int | None,
+    mesh: ArrayLike | None,
+    limits: Limits,
+) -> Trajectory:
+    """The path on steps that are halved until its estimated error is at most `tol`.
+
+    All steps are halved, so that equal ones stay equal, and what they conserve is conserved; a failure on long steps
+    is no end, either.
+    """
+    method, deadline = method_for(tol) if method is None else method, time.perf_counter() + limits.seconds
+    if intervals is None and mesh is None:
+        intervals = FEWEST + len(problem.breakpoints)
+    joints = mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
+    best: Trajectory | None = None
+    failure: ConvergenceError | None = None
+    while len(joints) - 1 <= limits.intervals and time.perf_counter() <= deadline:
+        try:
+            path = steps(method, joints)
+        except ConvergenceError as error:
+            failure = error
+        else:
+            if path.estimate_error() <= tol:
+                return path
+            best = path if best is None or path.estimate_error() < best.estimate_error() else best
+        joints = np.insert(joints, range(1, len(joints)), (joints[:-1] + joints[1:]) / 2)
+    reached = f"the best path has an estimated error of {best.estimate_error():.1e}" if best else failure or "no path"
+    raise LimitReached(
+        f"tolerance {tol:g} was not reached within {limits.intervals:g} intervals and {limits.seconds:g} seconds: "
+        f"{reached}. Raise the limits or tol; where neighboring paths part fast, steps keep few digits",
+        best or getattr(failure, "path", None),
+    ) from failure
 
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
-from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
@@ -27,14 +27,15 @@ from casadi_galerkin.functional.boundary_terms import end_velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
-from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
+from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.orbit_phase import turned_back
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ACCEPTED
-from casadi_galerkin.stepping.initial_value import trajectory
+from casadi_galerkin.stepping.initial_value import to_tolerance, trajectory
 from casadi_galerkin.stepping.shooting_residual import Shooting, Shot
 
 MOST_STEPS = 50  # of Newton's method
@@ -45,9 +46,10 @@ UNDETERMINED = 64 * EPS  # smallest singular value of the scaled derivative from
 
 def shoot(
     problem: BoundaryProblem,
-    method: Galerkin,
+    method: Galerkin | None = None,
     intervals: int | None = None,
     *,
+    tol: float | None = None,
     mesh: ArrayLike | None = None,
     guess: Trajectory | None = None,
 ) -> Trajectory:
@@ -66,9 +68,11 @@ def shoot(
     Parameters
     ----------
     problem : BoundaryProblem, with any ends, forces, constraints or energy
-    method : Galerkin
+    method : Galerkin, default degree 8
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    tol : relative tolerance between 0 and 1: the steps are halved until the estimated error is at most that, as `solve`
+        does for an InitialProblem
     guess : Trajectory, whose start is the first start; default the straight line between the ends.  A periodic path of
         given energy needs one that moves at its start
 
@@ -81,7 +85,8 @@ def shoot(
     TypeError, ValueError
         for input that does not fit, before anything is solved
     ConvergenceError
-        with the measured growth and the last path, if Newton's method fails or no start meets the end;
+        with the measured growth and the last path, if Newton's method fails or no start meets the end; LimitReached
+        where this is so on all meshes for a tolerance;
         ConjugatePointError where the ends do not determine the path
 
     Examples
@@ -97,10 +102,19 @@ def shoot(
     >>> cg.shoot(back, cg.Galerkin(degree=2), intervals=4).t[-1].round(9).tolist()
     1.0
     """
-    check_types(problem, method, BoundaryProblem)
+    check_kind(problem, BoundaryProblem)
+    check_method(method, optional=True)
     check_start(problem, guess)
+    if tol is not None:
+        steps = partial(_shot, problem, guess)
+        return to_tolerance(steps, problem, check_tolerance(tol), method, intervals, mesh, Limits())
+    return _shot(problem, guess, method or Galerkin(8), mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
+
+
+def _shot(problem: BoundaryProblem, guess: Trajectory | None, method: Galerkin, mesh: np.ndarray) -> Trajectory:
+    """The path by shooting on the joints of a mesh."""
     began = time.perf_counter()
-    shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), guess)
+    shooting = Shooting(problem, method, mesh, guess)
     equations = time.perf_counter() - began - shooting.stepper.build_seconds
     shot, iterations = _newton(shooting, *_guess(problem, guess))
     build = equations + shooting.stepper.build_seconds

@@ -24,12 +24,12 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin._solve import solve
 from casadi_galerkin.boundary.sensitivity import at_joints
-from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
@@ -148,9 +148,10 @@ class Comparison(Table, Pictured):
 
 def compare(
     problem: BoundaryProblem,
-    method: Galerkin,
+    method: Galerkin | None = None,
     intervals: int | None = None,
     *,
+    tol: float | None = None,
     mesh: ArrayLike | None = None,
     guess: Trajectory | None = None,
 ) -> Comparison:
@@ -159,9 +160,10 @@ def compare(
     Parameters
     ----------
     problem : BoundaryProblem; of given energy the steps from the global start have the duration that was found
-    method : Galerkin
+    method : Galerkin, default degree 8
     intervals : number of equal intervals; or
-    mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    mesh : (N + 1,) joints from t_span[0] to t_span[1]; or
+    tol : relative tolerance of the global path, whose degree and mesh all three then have
     guess : Trajectory from which both start; default the straight line between the ends.  Of given energy shooting
         starts with its duration, too, but the global solve with that of `t_span`
 
@@ -186,10 +188,13 @@ def compare(
     >>> compared.condition_global < 2, compared.condition_stepwise > 1e16
     (True, True)
     """
-    check_types(problem, method, BoundaryProblem)
+    check_kind(problem, BoundaryProblem)
+    check_method(method, optional=True)
     check_start(problem, guess)
-    path = solve(problem, method, intervals, mesh=mesh, guess=guess)
-    solved = path.problem
+    if method is None and tol is None:
+        method = Galerkin(8)
+    path = solve(problem, method, intervals, tol=tol, mesh=mesh, guess=guess)
+    method, solved = path.method, path.problem
     assert isinstance(solved, BoundaryProblem)
 
     def steps() -> Trajectory:
@@ -205,8 +210,9 @@ def compare(
         )
         return solve(start, method, mesh=path.t)
 
+    joints = path.t if problem.energy is None else np.interp(path.t, path.t[[0, -1]], problem.t_span)
     stepped = _attempt(path, steps)
-    shooting = _attempt(path, lambda: shoot(problem, method, intervals, mesh=mesh, guess=guess))
+    shooting = _attempt(path, lambda: shoot(problem, method, mesh=joints, guess=guess))
     return Comparison(
         path,
         stepped,

@@ -94,6 +94,20 @@ def test_a_new_picture_is_labeled_by_the_parameter(round_the_fold):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("p[0]", "height")
     axes.set(xlabel="λ")
     assert round_the_fold.plot(lambda path: path(0.5)[0], axes).get_xlabel() == "λ"
+    named = round_the_fold.plot(labels=("load", "size"))
+    assert (named.get_xlabel(), named.get_ylabel()) == ("load", "size")
+    with pytest.raises(ValueError, match="labels of the diagram must be 2 names, one per component, got 'load'"):
+        round_the_fold.plot(labels="load")
+
+
+@pytest.mark.usefixtures("headless")
+def test_a_branch_without_a_height_is_drawn_by_the_root_mean_square_of_its_paths(round_the_fold):
+    axes = round_the_fold.plot()
+    assert axes.get_ylabel() == "root mean square of x"
+    drawn = max(line.get_xydata()[:, 1].max() for line in axes.lines if "Morse" in line.get_label())
+    times = np.linspace(0, 1, 20001)
+    sizes = [np.sqrt(np.mean(path(times)[0] ** 2)) for path in round_the_fold.trajectories]
+    assert drawn == pytest.approx(max(sizes), rel=1e-4)
 
 
 def test_a_branch_is_summarized(round_the_fold):

@@ -250,7 +250,7 @@ def test_a_table_shows_the_first_paths(geodesics):
 
 @pytest.mark.usefixtures("headless")
 def test_one_picture_shows_all(swings, geodesics):
-    axes = swings.plot(label="angle in rad", time="t in s")
+    axes = swings.plot(labels="angle in rad", time="t in s")
     assert (len(axes.lines), axes.get_ylabel(), axes.get_xlabel()) == (5, "angle in rad", "t in s")
     assert axes.get_legend().get_texts()[0].get_text() == "action -3.91856, Morse index 0"
     for line, path in zip(axes.lines, swings, strict=True):
@@ -258,8 +258,9 @@ def test_one_picture_shows_all(swings, geodesics):
     assert geodesics.plot(component=1).get_legend() is None  # more than there are colors
     with pytest.raises(ValueError, match="component must be a whole number from 0 to 1, got 2"):
         geodesics.plot(component=2)
-    with pytest.raises(ValueError, match=r"labels of x must be 1 name, one per component, got \[\['λ', 'φ'\]\]"):
-        geodesics.plot(label=["λ", "φ"])
+    assert geodesics.plot(1, labels=["φ"]).get_ylabel() == "φ"
+    with pytest.raises(ValueError, match=r"labels of x must be 1 name, one per component, got \['λ', 'φ'\]"):
+        geodesics.plot(labels=["λ", "φ"])
 
 
 @pytest.mark.parametrize("load", [1.0, *slow(1e-9, 1e9)])
@@ -291,6 +292,7 @@ def test_a_load_leads_from_one_catenoid_to_the_other_and_back(load):
         ({"symmetries": [np.max]}, ValueError, r"symmetries\[0\] must return an array of shape \(1, 9\), got \(\)"),
         ({"method": 4}, TypeError, r"method must be a Galerkin, such as Galerkin\(degree=4\), got 4"),
         ({"intervals": None}, ValueError, "give either intervals or mesh"),
+        ({"intervals": None, "method": None}, ValueError, "give either intervals or mesh"),
     ],
 )
 def test_bad_input_is_refused(given, error, message):
@@ -401,3 +403,7 @@ def test_paths_of_given_energy_are_drawn_up_to_their_own_ends(throws):
     for path, line in zip(throws, throws.plot().lines, strict=True):
         assert line.get_xdata()[-1] == path.t[-1]
         np.testing.assert_array_equal(line.get_ydata(), path(line.get_xdata())[0])
+
+
+def test_without_a_method_the_degree_is_eight():
+    assert {path.method for path in cg.paths(LONG, intervals=12, count=1)} == {cg.Galerkin(8)}

@@ -193,7 +193,7 @@ def test_a_branch_is_drawn_by_morse_index_with_its_folds():
 
 
 def test_no_part_of_a_branch_is_left_out_for_want_of_a_color():
-    axes = plot_branches([[(i, i, 1.0) for i in range(9)]], [], [], None)
+    axes = plot_branches([[(i, i, 1.0) for i in range(9)]], [], [], None, None)
     assert [line.get_label() for line in axes.get_lines()] == [f"Morse index {i}" for i in range(9)]
 
 

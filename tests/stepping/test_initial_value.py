@@ -238,3 +238,33 @@ def test_a_small_component_is_stepped_where_terms_of_others_cancel(intervals, be
     found = path(lambda t, x, v: ca.sumsqr(v) / 2 - ca.cos(x[0] + x[1]) - ca.cos(x[0] - x[1]))
     exact = path(lambda t, x, v: ca.sumsqr(v) / 2 - 2 * ca.cos(x[0]) * ca.cos(x[1]))
     assert np.max(np.abs(found.x - exact.x)[1]) <= 1e-14  # some roundings of the sines
+
+
+def swaying(t, x, v):
+    return v[0] ** 2 / 2 - x[0] ** 2 / 2
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+def test_with_a_tolerance_equal_steps_are_halved_until_the_error_is_that_small(tol):
+    path = cg.solve(cg.InitialProblem(swaying, (0, 20), [1.0], velocity=[0.0]), tol=tol)
+    assert np.max(np.abs(path.x[0] - np.cos(path.t))) <= path.error_estimate <= tol
+    assert np.ptp(np.diff(path.t)) < 1e-12
+    assert path.method == cg.solve(cg.BoundaryProblem(swaying, (0, 1), [1.0], [0.0]), tol=tol).method
+
+
+def test_steps_begin_with_the_intervals_or_the_mesh_that_is_given():
+    problem = cg.InitialProblem(swaying, (0, 1), [1.0], velocity=[0.0])
+    assert len(cg.solve(problem, tol=1e-6, intervals=24).t) == 25
+    graded = np.array([0.0, 0.1, 0.4, 1.0])
+    assert set(graded) <= set(cg.solve(problem, cg.Galerkin(1), tol=1e-3, mesh=graded).t)
+
+
+def test_a_tolerance_that_steps_do_not_reach_is_an_error_with_the_best_path():
+    problem = cg.InitialProblem(swaying, (0, 20), [1.0], velocity=[0.0])
+    with pytest.raises(
+        cg.LimitReached, match=r"tolerance 1e-09 was not reached within 50 intervals .* error of"
+    ) as few:
+        cg.solve(problem, cg.Galerkin(1), tol=1e-9, limits=cg.Limits(intervals=50))
+    assert 1e-9 < few.value.path.error_estimate < 1
+    with pytest.raises(cg.LimitReached, match="seconds: no path"):
+        cg.solve(problem, tol=1e-9, limits=cg.Limits(seconds=1e-300))

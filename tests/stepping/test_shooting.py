@@ -304,3 +304,13 @@ def test_a_shot_that_does_not_converge_is_not_blamed_on_rounding():
     ) as caught:
         cg.shoot(problem, cg.Galerkin(4), 10)
     assert "double" not in str(caught.value)
+
+
+def test_shooting_to_a_tolerance_halves_its_steps():
+    fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 4), [0.0], [1.0])
+    path, exact = cg.shoot(fall, tol=1e-6), cg.solve(fall, tol=1e-10)
+    assert path.error_estimate <= 1e-6
+    assert np.max(np.abs(path(exact.t) - exact.x)) <= 1e-6 * np.max(np.abs(exact.x))
+    assert cg.shoot(fall, intervals=8).method == cg.Galerkin(8)
+    with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got 2"):
+        cg.shoot(fall, tol=2)

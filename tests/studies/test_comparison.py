@@ -265,3 +265,12 @@ def test_a_guess_that_shooting_cannot_start_from_is_refused_before_any_solve(mon
 def test_one_interval_is_no_plural():
     compared = cg.compare(cg.BoundaryProblem(pendulum, (0, 1), [0.0], [1.0]), METHOD, 1)
     assert "1 interval, " in repr(compared)
+
+
+def test_a_tolerance_chooses_degree_and_mesh_of_all_three_ways():
+    comparison = cg.compare(cg.BoundaryProblem(pendulum, (0, 4), [0.0], [1.0]), tol=1e-6)
+    assert comparison.global_path.error_estimate <= 1e-6
+    for way in (comparison.stepped, comparison.shooting):
+        np.testing.assert_array_equal(way.path.t, comparison.global_path.t)
+        assert way.path.method == comparison.global_path.method
+    assert cg.compare(comparison.global_path.problem, intervals=4).global_path.method == cg.Galerkin(8)
