@@ -28,6 +28,7 @@ from casadi_galerkin.problems.problem import check_kind, check_types
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.quantity import Quantity, check_asked
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.stepping.initial_value import integrate, to_tolerance
@@ -41,6 +42,7 @@ def solve(
     *,
     tol: float | None = None,
     cost_tol: float | None = None,
+    of: Quantity | None = None,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
     solver: Solver | None = None,
@@ -57,6 +59,7 @@ def solve(
     intervals: int | None = None,
     *,
     tol: float | None = None,
+    of: Quantity | None = None,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
     solver: Solver | None = None,
@@ -73,6 +76,7 @@ def solve(
     *,
     tol: float | None = None,
     cost_tol: float | None = None,
+    of: Quantity | None = None,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
     solver: Solver | None = None,
@@ -86,6 +90,10 @@ def solve(
     degree and the mesh are chosen so that the estimated error of x, at the joints and between them and relative to
     the largest value of each component, is at most `tol`; `method` then fixes the degree, and `intervals` or `mesh`
     are where refinement begins.
+
+    With ``of``, a quantity of the path, it is this that is known to `tol`, relative to the size of its largest entry:
+    the path may be known to fewer digits, or has to be known to more.  Its error is the difference to the path of a
+    higher degree on the same mesh (see `Trajectory.error_of`).
 
     An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`, or with `tol`: all steps are
     then halved until the error is small enough, and stay equal, as conserving energy wants.  A `ControlProblem`, whose
@@ -103,6 +111,9 @@ def solve(
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     tol : relative tolerance between 0 and 1
     cost_tol : in place of `tol`, for a ControlProblem
+    of : callable, a path -> a number, or an array whose shape does not depend on the mesh, such as
+        ``lambda path: path.momentum[:, -1]``: what `tol` is the tolerance of; the answer has it as `asked`, and its
+        estimated relative error as `asked_error`
     guess : of a boundary or control problem, where the search begins; default the straight line between the ends.  A
         callable t -> d numbers; a pair (times, values) of arrays (K,) and (d, K); an array (d, N + 1) of values at
         the joints; an earlier answer, or what `load` has read of it.  For a ControlProblem also a pair (path, controls)
@@ -136,6 +147,12 @@ def solve(
     >>> path = solve(problem, Galerkin(degree=4), intervals=10)
     >>> float(path(0.5)[0].round(6))
     0.569747
+
+    A launch velocity to ten digits:
+
+    >>> path = solve(problem, tol=1e-10, of=lambda path: path.velocity[:, 0])
+    >>> path.asked.round(9).tolist(), path.asked_error <= 1e-10
+    ([1.188395106], True)
     """
     check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
     check_method(method, optional=True)
@@ -145,13 +162,14 @@ def solve(
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
     tolerance = _tolerance(problem, tol, cost_tol)
     _check_limits(limits, tolerance)
+    check_asked(of, tol)
     if isinstance(problem, InitialProblem):
         extra = [name for name, value in {"guess": guess, "solver": solver}.items() if value is not None]
         if extra:
             raise ValueError(f"an InitialProblem is solved step by step, and takes no {' and '.join(extra)}")
         steps = partial(integrate, problem, verbose=verbose)
         if tolerance is not None:
-            return to_tolerance(steps, problem, tolerance, method, intervals, mesh, limits or Limits())
+            return to_tolerance(steps, problem, tolerance, method, intervals, mesh, limits or Limits(), of)
         return steps(_given(method), mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
     if solver is None:
         solver = ipopt if isinstance(problem, ControlProblem) else newton
@@ -165,12 +183,12 @@ def solve(
     if isinstance(problem, ControlProblem):
         check_solver(solver)
         method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh, guess, limits)
-        refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver, verbose)
+        refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver, verbose, of)
         path = refinement.run(joints, guess, starts)
     else:
         method, joints = first_discretization(problem, tolerance, method, intervals, mesh)
         graphs = GraphCache(problem, verbose=verbose)
-        path = BoundaryRefinement(graphs, tolerance, method, solver, limits).run(joints, guess)
+        path = BoundaryRefinement(graphs, tolerance, method, solver, limits, of).run(joints, guess)
     if verbose:
         print(path)
     return path

@@ -22,8 +22,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,6 +60,7 @@ from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceErro
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, joined_by_lines
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.deadline import until
@@ -74,10 +76,11 @@ SHORTEST_INTERVAL = 1e-13  # interval over the duration at which a refinement st
 # interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
 TIME_ROUNDING = 1e5 * EPS
 HOMOTOPY_ACCURACY = 1e-3, 500  # tolerance and largest number of intervals for the intermediate paths of a homotopy
+Parts = Callable[[float], np.ndarray]  # tolerance of x -> numbers of parts into which intervals are to be split
 MESHES_WITHOUT_HALVING = 8  # meshes in a row that do not halve an error; intervals that move to a layer need up to 6
 
 
-class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
+class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
     """One refinement of the problem of a `GraphCache`; the other arguments are those of `solve`."""
 
     roundoff_level = 0.0
@@ -89,8 +92,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         method: Galerkin,
         solver: SolverLike,
         limits: Limits,
+        of: Quantity | None = None,
     ) -> None:
-        super().__init__(tol, method, graphs.problem.breakpoints, limits, graphs.verbose)
+        super().__init__(tol, method, graphs.problem.breakpoints, limits, graphs.verbose, of)
         self.graphs = graphs
         self.built = graphs.build_seconds  # until now, for earlier refinements
         self.solver, self.warm_solver = solver, warm_newton(solver)
@@ -110,14 +114,14 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """The path of one level, and the residual that the solver has left."""
         return level.polynomial, level.solution.residual
 
-    def answer(self, level: CriticalPoint, error: float) -> Path:
+    def answer(self, level: CriticalPoint, error: float | None) -> Path:
         """The critical path on the mesh of a level, with its error; a Path where nothing more can be said of it."""
         try:
             return self.finish(level, error)
         except ConvergenceError:  # as where it is not isolated
             return Path(level.polynomial)
 
-    def estimate(self, level: CriticalPoint) -> Estimate[np.ndarray]:
+    def estimate(self, level: CriticalPoint) -> Estimate[Parts]:
         """Estimate the error of a path, and the numbers of parts into which the next mesh splits its intervals.
 
         The estimate is the first of these that is above the tolerance: the truncation error; an error indicator that
@@ -140,7 +144,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         indicators = scaled_indicators(self.graphs.problem, path, level.momentum)
         source, indicator = max(indicators.items(), key=lambda item: float(np.max(item[1])))
         if np.max(indicator) > self.tol:
-            parts = parts_wanted(indicator, 1, self.tol)  # at a kink it falls in proportion to the step
+            parts = partial(parts_wanted, indicator, 1)  # at a kink it falls in proportion to the step
             return Estimate(float(np.max(indicator)), False, source, parts)
         error = max(error, float(np.max(indicator)))
         if error <= self.tol:
@@ -148,7 +152,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             if agreed < REQUIRED_AGREEMENT:
                 graph.check_second_variation(level)
                 words = "responses to forces, which differ with the degree: the ends are nearly conjugate"
-                return Estimate(1 - agreed, False, words, np.full(len(truncation), 2.0))
+                return Estimate(1 - agreed, False, words, lambda _: np.full(len(truncation), 2.0))
         relative = np.maximum(truncation, TINY) / max(float(np.max(truncation)), TINY)
         magnified = ": the ends are nearly conjugate" if error > 1 else ""
         return Estimate(error, True, f"degree {graph.higher.method.degree}{magnified}", self.parts(error * relative))
@@ -170,40 +174,46 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         if floor > self.tol:
             graph.refuse_conjugate(level)
             cause = "doubles hold no more digits, the ends are nearly conjugate, or the action's terms cancel"
-            reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here: {cause}"
+            needed = "asked" if self.of is None else "of x needed"
+            reason = f"{self.tol:g} {needed}, {floor:.0e} is the roundoff floor here: {cause}"
             hint = "Try a looser tolerance, or a method of higher degree, with fewer intervals and less roundoff"
             change = graph.smallest_curvature(level.solution.unknowns, level.solution.data)[1]
             hint = ". ".join(filter(None, (hint, open_direction(self.graphs.problem, level.polynomial, change, ""))))
             raise self.stopped(reason, level, floor, hint)
         return floor
 
-    def parts(self, error: np.ndarray) -> np.ndarray:
+    def parts(self, error: np.ndarray) -> Parts:
         """Numbers of parts into which intervals with these errors are to be split."""
-        return parts_wanted(error, self.method.degree + 1, self.tol)
+        return partial(parts_wanted, error, self.method.degree + 1)
+
+    def trajectory(self, level: CriticalPoint, estimate: Estimate[Parts]) -> Trajectory:
+        """The path of a level whose error is known."""
+        return replace(self.graph(level.polynomial).trajectory(level, 0.0), error_estimate=estimate.error)
 
     def graph(self, path: PiecewisePolynomial) -> Transcription:
         """The graph on the mesh of a path."""
         return self.graphs.transcription(self.method, path.mesh)
 
-    def better_mesh(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> np.ndarray:
+    def better_mesh(self, level: CriticalPoint, estimate: Estimate[Parts]) -> np.ndarray:
         """The equidistributed mesh.
 
         Where the last mesh did not halve the error, the path is less smooth than the order of the method requires, and
         the new mesh has more intervals than the last.  Only errors from the same source are compared.  An error that
         stays on `MESHES_WITHOUT_HALVING` meshes does not fall on any.
         """
-        mesh, (smallest, stayed) = level.polynomial.mesh, self.smallest_errors.get(estimate.source, (math.inf, 0))
+        mesh, parts = level.polynomial.mesh, estimate.detail(self.tol)
+        smallest, stayed = self.smallest_errors.get(estimate.source, (math.inf, 0))
         stayed = 0 if estimate.error < smallest / 2 else stayed + 1
         self.smallest_errors[estimate.source] = min(smallest, estimate.error), stayed
         if stayed == MESHES_WITHOUT_HALVING:
-            words, parts = f"an error of {estimate.error:.1e}, measured by the {estimate.source},", estimate.detail
+            words = f"an error of {estimate.error:.1e}, measured by the {estimate.source},"
             words += " stays on any mesh"
             if np.ptp(parts) > 0:
                 when = float(mesh[np.argmax(parts / np.diff(mesh))])
                 words += f" near t = {when:.9g}. {self.not_smooth(when, np.ptp(mesh))}"
             raise self.stopped(words, level, estimate.error)
         fewest = len(mesh) if stayed else FEWEST
-        return equidistributed(mesh, estimate.detail, fewest=fewest, breakpoints=self.breakpoints)
+        return equidistributed(mesh, parts, fewest=fewest, breakpoints=self.breakpoints)
 
     def solve_on(self, mesh: np.ndarray, level: CriticalPoint) -> CriticalPoint:
         """Solve from the last path; refuses a path along which L is not finite on two meshes in a row."""
@@ -249,7 +259,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         distance = 0.0 if guess is None else distance_from_guess(given, path.polynomial)
         if distance <= FAR_FROM_GUESS:
             return path
-        return replace(path, solver=f"{path.solver}; up to {distance:.2g} of the guess's size away from the guess")
+        return path.amended(solver=f"{path.solver}; up to {distance:.2g} of the guess's size away from the guess")
 
     def at_pole(self, level: CriticalPoint) -> bool:
         """Whether a path leads through a pole of L, which other paths avoid."""
@@ -283,7 +293,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 report = first.solution.report
                 if report == path.solver and not (failures and report == NEWTON):
                     return path
-                return replace(path, solver=f"{path.solver}; first path by {name if report == NEWTON else report}")
+                return path.amended(solver=f"{path.solver}; first path by {name if report == NEWTON else report}")
         conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
         raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another strategy found nothing
 
@@ -303,12 +313,11 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return guess
         return self.graphs.transcription(self.method, mesh).guess_on_mesh(guess, mesh)
 
-    def finish(self, point: CriticalPoint, error: float) -> Trajectory:
+    def finish(self, point: CriticalPoint, error: float | None) -> Trajectory:
         """The accepted path as a Trajectory, with the iterations and seconds of the whole refinement."""
-        path = self.graph(point.polynomial).trajectory(point, 0.0)
+        path = self.graph(point.polynomial).trajectory(point, 0.0) if self.asked is None else self.asked
         build_seconds = self.graphs.build_seconds
-        return replace(
-            path,
+        return path.amended(
             iterations=self.iterations,
             build_seconds=build_seconds,
             solve_seconds=time.perf_counter() - self.began - (build_seconds - self.built),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,7 +59,7 @@ class BoundaryGraph:
             self.stationarity = Stationarity(self.functional)
             self._end_velocities = end_velocities(problem)
         self.numbering = self.functional.numbering
-        self._mapping, self._others = mapping, dict[Galerkin, BoundaryGraph]()
+        self._mapping, self._others = mapping, dict[Galerkin, Any]()  # graphs of this class
 
     def for_problem(self: Graph, problem: BoundaryProblem) -> Graph:
         """The same graph for a problem that is `varied` from this one's; nothing is built."""
@@ -73,14 +73,15 @@ class BoundaryGraph:
         """Pickled without its Functions, which are built again from the problem."""
         return type(self), (self.problem, self.method, self.mesh, self._mapping)
 
-    def for_method(self, method: Galerkin) -> BoundaryGraph:
+    def for_method(self: Graph, method: Galerkin) -> Graph:
         """The graph of another method on the same mesh; built once for all problems varied from one."""
         if method not in self._others:
-            self._others[method] = BoundaryGraph(self.problem, method, self.mesh, self._mapping)
-        return self._others[method].for_problem(self.problem)
+            self._others[method] = type(self)(self.problem, method, self.mesh, self._mapping)
+        built: Graph = self._others[method]
+        return built.for_problem(self.problem)
 
     @property
-    def higher(self) -> BoundaryGraph:
+    def higher(self: Graph) -> Graph:
         """The graph of the higher degree for the error estimate."""
         return self.for_method(higher_degree_method(self.method.degree))
 

@@ -168,7 +168,12 @@ class Transcription(BoundaryGraph):
             find_index=variations.negative,
             find_regularity=variations.smallest,
             find_difference=variations.difference,
+            find_finer=variations.finer,
         )
+
+    def nearby(self, path: PiecewisePolynomial) -> Trajectory:
+        """The path of the problem near one of another degree on as many intervals; errors as for `solve`."""
+        return self.trajectory(self.critical_point(guess=path, mesh=path.mesh), 0.0)
 
     def plot_hessian(self, axes: Axes | None = None) -> Axes:
         """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""
@@ -225,6 +230,10 @@ class SecondVariation:
     def difference(self) -> float:
         """Relative difference to a path of a higher degree: see `error_between_ends`."""
         return error_between_ends(self._graph(), self._path)
+
+    def finer(self, path: Trajectory) -> tuple[Trajectory]:
+        """The path of a higher degree on the same mesh, by Newton's method from this one."""
+        return (self._graph().higher.nearby(path.polynomial),)
 
     def smallest(self) -> float | None:
         """Smallest second variation over the sizes of its terms, see `smallest_curvature`; None at a kink of L in x."""

@@ -40,9 +40,10 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
-from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
 from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
@@ -93,18 +94,33 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         limits: Limits,
         solver: Solver,
         verbose: int,
+        of: Quantity | None = None,
     ) -> None:
         self.stated, self.problem = problem, with_joined_phases(problem)
-        super().__init__(tol, method, self.problem.breakpoints, limits, verbose)
+        super().__init__(tol, method, self.problem.breakpoints, limits, verbose, of)
+        if of is not None:  # it may be known long before the path
+            self.first_tol = FAR_FROM_GUESS
         self.of_cost, self.solver = of_cost, solver
 
     def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, float]:
         """The path of one level, and the violation that the solver has left."""
         return level.polynomial, level.residual
 
-    def answer(self, level: ControlTrajectory, error: float) -> ControlTrajectory:
-        """The optimum on the mesh of a level, with its error."""
+    def trajectory(self, level: ControlTrajectory, estimate: Estimate[TwoComparisons | None]) -> ControlTrajectory:
+        """The optimum of a level whose error is known."""
+        assert estimate.detail is not None
+        known = estimate.detail.known
+        path, *finer = (with_parted_phases(one, self.stated) for one in (level, *known.finer))
+        path.__dict__["_comparisons"] = replace(known, finer=tuple(finer))  # the class is frozen
+        return path.amended(error_estimate=known.errors[1], cost_error=known.errors[0])
+
+    def answer(self, level: ControlTrajectory, error: float | None) -> ControlTrajectory:
+        """The optimum on the mesh of a level, or the one that was asked for a quantity, with its error."""
+        if isinstance(self.asked, ControlTrajectory):
+            return self.asked
         path = with_parted_phases(level, self.stated)
+        if path.error_estimate is not None:
+            return path
         return replace(path, cost_error=error) if self.of_cost else replace(path, error_estimate=error)
 
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
@@ -202,7 +218,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
         """Report the error reached; where the cost alone is within `tol`, as with a singular arc, report that."""
-        if self.cost_known <= self.tol:
+        if self.cost_known <= self.tol and self.of is None:
             words = f"the cost is known to {self.cost_known:.0e}, which is all that cost_tol asks for"
             reason += f" (only the path changes: {words})"
         return super().stopped(reason, level, error, hint)
@@ -246,8 +262,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         if not found:
             raise failures[0]
         best = min(found, key=lambda path: path.cost)
-        return replace(
-            best,
+        return best.amended(
             solver=best.solver + summary,
             iterations=self.iterations,
             build_seconds=self.build_seconds,
@@ -257,11 +272,11 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
         self.known, self.cost_known, self.solver_error_prevails = None, math.inf, False
-        path, _ = self.refine(level)
+        path, error = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
-        path = with_parted_phases(path, self.stated)
-        cost, error = self.known.errors
-        return replace(path, error_estimate=error, cost_error=cost)
+        if self.of is None:
+            path = self.trajectory(path, Estimate(error, True, "", self.known))
+        return self.answer(path, error)
 
 
 def first_control_discretization(

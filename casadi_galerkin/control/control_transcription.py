@@ -37,7 +37,7 @@ from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.constrained_motion import check_points, off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
@@ -264,7 +264,7 @@ class ControlTranscription:
             problem=found,
             find_index=second_order.negative,
             find_remaining_error=second_order.remaining_error,
-            find_errors=partial(estimated_errors, solver),
+            find_comparisons=partial(comparisons, solver),
             cost=report.cost,
             cost_size=report.cost_size,
             control=control,
@@ -399,14 +399,11 @@ def transcribed_control(
     return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)
 
 
-def estimated_errors(solver: Solver, path: ControlTrajectory) -> tuple[float, float]:
-    """Errors of the cost and of a path, from two paths of higher degree; infinite where one of these is not found."""
+def comparisons(solver: Solver, path: ControlTrajectory) -> Comparisons:
+    """A path compared with two of higher degree; errors as for `solve`, where one of these is not found."""
 
     def solved(method: Galerkin, mesh: np.ndarray) -> ControlTrajectory:
         transcription = transcribed_control(path.problem, method, None, mesh, one_by_one)
         return transcription.solve(guess=path, solver=from_near(solver, path))
 
-    try:
-        return compared(path, solved).errors
-    except ConvergenceError:
-        return math.inf, math.inf
+    return compared(path, solved).known

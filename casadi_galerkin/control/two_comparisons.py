@@ -28,12 +28,12 @@ from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.control.optimizer import ACCEPTABLE
 from casadi_galerkin.problems.problem import map_times, section_times
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 from casadi_galerkin.solvers.solver import Solver, ipopt
 
 DEGREES_ADDED = 2  # degrees added; one adds nothing to a path of the other parity
-SAFETY = 2.0  # errors over differences; on 44 paths with bends, touches and switches none was larger than twice these
+SAFETY = ControlTrajectory.comparison_factor
 JOINT_BEFORE, JOINT_AFTER = 0.31, 0.23  # distances of new joints from an old one, over the shorter interval beside it
 BESIDE_FIXED = 0.05  # the same for an old joint that stays
 UNSMOOTH_DECAY = 0.25  # ratio of the last two Legendre coefficients to the two before from which a path is not smooth
@@ -93,14 +93,28 @@ class TwoComparisons:
         rounding of times; a step that no derivative shows is an error of the path.  The remaining solver error is
         added.
         """
+        of_cost = self.of_cost(self.path.unseen_change)
+        of_path = max(of_cost, self.path.solver_error)
+        return (
+            max(self.cost_error, self._unseen, self.step_in_place**2) + of_cost,
+            max(self.change, self.unseen) + of_path,
+        )
+
+    @property
+    def known(self) -> Comparisons:
+        """What the path keeps of this."""
+        return Comparisons((self.same, self.better), self.errors, self.unseen)
+
+    @property
+    def unseen(self) -> float:
+        """Relative error that all three paths may have in common, that of a step that no derivative shows included."""
+        return max(self._unseen, self.step_in_place)
+
+    @cached_property
+    def _unseen(self) -> float:
         path, between = self.path, self.path.between_points
         rounding = 0.0 if path.problem.autonomous else EPS * np.max(np.abs(path.t)) / np.ptp(path.t)
-        least = float(max(np.max(between.common_excess), self.of_cost(np.sum(between.jump_effects)), rounding))
-        of_cost = self.of_cost(path.unseen_change)
-        of_path = max(of_cost, path.solver_error)
-        return max(self.cost_error, least, self.step_in_place**2) + of_cost, max(
-            self.change, least, self.step_in_place
-        ) + of_path
+        return float(max(np.max(between.common_excess), self.of_cost(np.sum(between.jump_effects)), rounding))
 
     @cached_property
     def step_in_place(self) -> float:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -16,6 +17,7 @@ from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import FIGURE_SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
@@ -52,6 +54,22 @@ class RemainingError:
     components: np.ndarray
     durations: float
     cost: float
+
+
+@dataclass(frozen=True)
+class Comparisons:
+    """An optimal path's comparison with others of higher degree.
+
+    Attributes
+    ----------
+    finer : the others
+    errors : relative errors of the cost, and of all
+    unseen : relative error that all of these have in common
+    """
+
+    finer: tuple[ControlTrajectory, ...]
+    errors: tuple[float, float]
+    unseen: float
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -112,6 +130,8 @@ class ControlTrajectory(Trajectory):
     1.0
     """
 
+    comparison_factor: ClassVar = 2.0  # on 44 paths with bends, touches and switches no error was above twice these
+
     problem: ControlProblem
     cost: float
     cost_size: float
@@ -125,7 +145,7 @@ class ControlTrajectory(Trajectory):
     end_velocity: np.ndarray
     arrival_velocity: np.ndarray
     find_remaining_error: Callable[[], RemainingError]
-    find_errors: Callable[[ControlTrajectory], tuple[float, float]]  # of the cost and of x, relative
+    find_comparisons: Callable[[ControlTrajectory], Comparisons]
     cost_error: float | None = None
 
     @cached_property
@@ -142,10 +162,25 @@ class ControlTrajectory(Trajectory):
         motion under controls that are held on these intervals.
         """
         if self.error_estimate is None:
-            cost, path = self.find_errors(self)
+            try:
+                cost, path = self._comparisons.errors
+            except ConvergenceError:
+                cost, path = math.inf, math.inf
             self.__dict__.update(cost_error=cost, error_estimate=path)  # the class is frozen
         assert self.error_estimate is not None
         return self.error_estimate
+
+    @cached_property
+    def _comparisons(self) -> Comparisons:
+        return self.find_comparisons(self)
+
+    @property
+    def _finer(self) -> tuple[Trajectory, ...]:
+        return self._comparisons.finer
+
+    @property
+    def _unseen_error(self) -> float:
+        return self._comparisons.unseen
 
     @property
     def unseen_change(self) -> float:
@@ -366,6 +401,7 @@ class ControlTrajectory(Trajectory):
                 f"  method      {self.method}",
                 f"  cost        {self.cost:.12g}, {self._kind()}",
                 f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, {self._variation()}",
+                *self._asked(),
                 *self._accuracy(),
                 *self._between_points(),
                 f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, violation {self.violation:.1e}",

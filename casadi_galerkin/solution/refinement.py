@@ -21,6 +21,8 @@ from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
+from casadi_galerkin.solution.quantity import Quantity
+from casadi_galerkin.solution.trajectory import Trajectory
 
 SHORT_INTERVAL = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
 # distance over the duration within which a breakpoint may be the cause of an error that stays
@@ -58,10 +60,17 @@ class Estimate(Generic[Detail]):
 
 
 class Refinement(ABC, Generic[Level, Detail]):
-    """The state of one refinement.
+    """The state of one refinement to a tolerance, of x or of a quantity `of` the path.
+
+    A quantity is asked for where x is known to a loose tolerance.  Where it is not within its own, that of x is
+    tightened: as if the errors e of x and a of the quantity were related by a power that is at least one, a ~ e^q or
+    a ~ e.
 
     Attributes
     ----------
+    goal : the tolerance that was asked for
+    tol, first_tol : the tolerance of x, which meshes are made for, now and where refinement begins
+    asked : the path of the smallest known error of the quantity so far, with that error
     roundoff_level : an error below it that does not fall to half is taken to be at the roundoff floor
     persistence : largest number of levels in a row that come no nearer
     best : level of the smallest trusted error so far, and that error; where none is trusted yet, the last level
@@ -70,12 +79,21 @@ class Refinement(ABC, Generic[Level, Detail]):
     roundoff_level: float
     persistence = math.inf
     best: tuple[Level, float]
+    asked: Trajectory | None = None
     reported = 0  # iterations that have been printed
 
     def __init__(
-        self, tol: float, method: Galerkin, breakpoints: tuple[float, ...], limits: Limits, verbose: int
+        self,
+        tol: float,
+        method: Galerkin,
+        breakpoints: tuple[float, ...],
+        limits: Limits,
+        verbose: int,
+        of: Quantity | None = None,
     ) -> None:
-        self.tol, self.method, self.breakpoints, self.limits, self.verbose = tol, method, breakpoints, limits, verbose
+        self.goal, self.of = tol, of
+        self.tol = self.first_tol = tol if of is None else math.sqrt(tol)
+        self.method, self.breakpoints, self.limits, self.verbose = method, breakpoints, limits, verbose
         self.began = time.perf_counter()
         self.deadline = self.began + limits.seconds
 
@@ -101,8 +119,12 @@ class Refinement(ABC, Generic[Level, Detail]):
         """Lengths that intervals of a mesh must exceed, (N,) or for all."""
 
     @abstractmethod
-    def answer(self, level: Level, error: float) -> Path:
-        """The path of a level, to be attached to the error where the refinement is stopped."""
+    def answer(self, level: Level, error: float | None) -> Path:
+        """The path of a level, or the one `asked`, to be attached to the error where the refinement is stopped."""
+
+    @abstractmethod
+    def trajectory(self, level: Level, estimate: Estimate[Detail]) -> Trajectory:
+        """The path of a level whose error is known, to be asked for a quantity."""
 
     @abstractmethod
     def solved(self, level: Level) -> tuple[PiecewisePolynomial, float]:
@@ -132,21 +154,21 @@ class Refinement(ABC, Generic[Level, Detail]):
             with the best path attached
         """
         smallest, number, without_improvement = np.inf, 0, 0
-        self.best = level, np.inf
+        self.best, self.tol, self.asked = (level, np.inf), self.first_tol, None
         with progress("refinement", unit="level") as advance:
             while True:
                 estimate = self.estimate(level)
                 self._report(number, level, estimate)
-                error = estimate.error if estimate.trusted else np.inf
-                if error <= self.tol:
-                    return level, error
+                error = self.error(level, estimate)
+                if error <= self.goal:
+                    return level, estimate.error
                 at_floor, nearer = smallest / 2 < error < self.roundoff_level, error < smallest
                 without_improvement = 0 if nearer else without_improvement + 1
                 if nearer or smallest == np.inf:
-                    self.best = level, estimate.error
+                    self.best = level, estimate.error if self.asked is None else error
                 smallest = min(smallest, error)
                 if at_floor:
-                    raise self.stopped(f"{self.tol:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
+                    raise self.stopped(f"{self.goal:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
                 self.check_time()
                 if without_improvement >= self.persistence:
                     raise self.stopped(f"{without_improvement} levels in a row came no nearer", *self.best, NO_NEARER)
@@ -161,6 +183,23 @@ class Refinement(ABC, Generic[Level, Detail]):
                 except ConvergenceError:
                     self.check_time()
                     raise
+
+    def error(self, level: Level, estimate: Estimate[Detail]) -> float:
+        """The error of what is asked for, infinite where it is not known; where it is too large, x must be nearer."""
+        if not estimate.trusted:
+            return np.inf
+        if self.of is None:
+            return estimate.error
+        if estimate.error > self.tol:
+            return np.inf
+        path = self.trajectory(level, estimate).asked_for(self.of)
+        error = path.asked_error or 0.0
+        if self.asked is None or error < (self.asked.asked_error or 0.0):
+            self.asked = path
+        if error > self.goal:
+            power = math.log(self.goal) / math.log(error) if error < 1 else 1.0
+            self.tol = min(estimate.error / 2, max(estimate.error * self.goal / error, estimate.error**power))
+        return error
 
     def check_mesh(self, mesh: np.ndarray, estimate: Estimate[Detail]) -> None:
         """Stop where a mesh has too many intervals, or one that is too short."""
@@ -185,13 +224,13 @@ class Refinement(ABC, Generic[Level, Detail]):
 
         Where times are so far from zero that their rounding may be the cause, it says so.
         """
-        path = self.answer(level, error)
+        path = self.answer(level, error if self.asked is None else self.asked.error_estimate)
         latest, duration = float(np.max(np.abs(path.t))), float(np.ptp(path.t))
         if latest > duration and EPS * latest > self.tol * duration:
             hint = f"Times near {latest:.1e} are rounded by {EPS * latest:.0e}: count them from the start"
         known = f"an estimated error of {error:.1e}" if np.isfinite(error) else "no finite error estimate"
         return LimitReached(
-            f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
+            f"tolerance {self.goal:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
             f"and {known}; it is attached to this error as `path`. {hint}",
             path,
             self.solved(level)[1],

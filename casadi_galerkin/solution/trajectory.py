@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import largest_difference as difference_of_paths
 from casadi_galerkin.calculus.mesh_adaptation import truncation_error
 from casadi_galerkin.calculus.numbers import checked_index, counted, number, spanned, told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import times_within
@@ -23,14 +24,17 @@ from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.problems.velocities import velocities
 from casadi_galerkin.solution.error_indicators import error_indicators
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_plane
+from casadi_galerkin.solution.quantity import Quantity, check_quantity, largest_difference, quantity, relative
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
 
+Answer = TypeVar("Answer", bound="Trajectory")
 
 UNBALANCED = 0.1  # relative violation of the balance of energy above which a path is reported as not resolved
 UNRESOLVED = 1e-3  # relative truncation error above which a path is reported as not resolved
@@ -59,6 +63,8 @@ class Trajectory(Path):
     method : Galerkin
     problem : what was solved, with the ends, parameters and times that it was solved for
     error_estimate : estimated relative error of x, at the joints and between them; None before `estimate_error`
+    asked, asked_error : the quantity `of` that a solve to a tolerance was asked for, a number or an array, and its
+        estimated error over the size of its largest entry; None where none was
 
     Examples
     --------
@@ -73,6 +79,8 @@ class Trajectory(Path):
     True
     """
 
+    comparison_factor: ClassVar = 1.0  # estimated errors over differences to the paths of a higher degree
+
     momentum: np.ndarray
     action: float
     iterations: int
@@ -85,7 +93,11 @@ class Trajectory(Path):
     error_estimate: float | None = None
     find_index: Callable[[], int | None] | None = None
     find_regularity: Callable[[], float | None] | None = None
-    find_difference: Callable[[], float] | None = None  # relative, to a path of a higher degree
+    missed: float = 0.0  # what shooting misses the end by, relative to the size of the path
+    find_difference: Callable[[], float] | None = None  # relative, to a path of a higher degree, without finding it
+    find_finer: Callable[[Trajectory], tuple[Trajectory, ...]] | None = None  # paths of a higher degree
+    asked: np.ndarray | float | None = None
+    asked_error: float | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -105,10 +117,92 @@ class Trajectory(Path):
         """
         if self.error_estimate is not None:
             return self.error_estimate
-        assert self.find_difference is not None
-        error = max(self.find_difference(), *(float(np.max(indicator)) for indicator in self._indicators))
+        difference = self._difference() if self.find_difference is None else self.find_difference()
+        error = max(difference, self._least_error)
         self.__dict__["error_estimate"] = error  # the class is frozen
         return error
+
+    def error_of(self, of: Quantity) -> np.ndarray:
+        """Estimate the error of any quantity of the path: its difference to that of a path of a higher degree.
+
+        That path has the same mesh; it is found once and kept for the next question.  Where an error indicator of
+        `estimate_error` is larger than the difference of x, as at a kink, the error is at least that, relative to the
+        largest entry.  Of a ControlTrajectory it is twice the larger difference to two paths of higher degree, and at
+        least what `estimate_error` knows beside these.
+
+        Parameters
+        ----------
+        of : callable, a path -> a number, or an array whose shape does not depend on the mesh, such as
+            ``lambda path: path.momentum[:, -1]``
+
+        Returns
+        -------
+        array of the shape of the quantity, in its units; infinite where no path of a higher degree is found
+
+        Raises
+        ------
+        TypeError, ValueError
+            where the quantity is not finite or no array of numbers, has another shape on another path, or depends on
+            nothing that was solved for
+
+        Examples
+        --------
+        >>> import casadi as ca
+        >>> import casadi_galerkin as cg
+        >>> swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 10), start=[0.0], end=[1.0])
+        >>> path = cg.solve(swing, cg.Galerkin(degree=5), intervals=10)
+        >>> print(f"{path.estimate_error():.0e}, {path.error_of(lambda path: path.momentum[0, -1]):.0e}")
+        5e-06, 5e-08
+        """
+        return self._known(of)[1]
+
+    def asked_for(self, of: Quantity) -> Trajectory:
+        """The path with a quantity `asked`, and its error."""
+        value, change = self._known(of)
+        asked = value if value.ndim else value.item()
+        return self.amended(asked=asked, asked_error=relative(change, value))
+
+    def amended(self: Answer, **changes: Any) -> Answer:
+        """The same path with another report, and all that has been computed of it."""
+        path = replace(self, **changes)
+        path.__dict__.update((name, kept) for name, kept in vars(self).items() if name not in path.__dict__)
+        return path
+
+    def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray]:
+        """A quantity, and its error as `error_of` has it."""
+        check_quantity(of)
+        try:
+            finer = self._finer
+        except ConvergenceError:
+            value = quantity(of, self)
+            return value, np.full(value.shape, np.inf)
+        value, change = largest_difference(of, self, finer)
+        return value, np.maximum(self.comparison_factor * change, self._unseen_error * np.max(np.abs(value)))
+
+    @property
+    def _unseen_error(self) -> float:
+        """Relative error that the paths of a higher degree have in common with this one."""
+        return self._least_error if self._least_error > self._difference() else 0.0
+
+    @cached_property
+    def _finer(self) -> tuple[Trajectory, ...]:
+        """The paths of a higher degree that this one is compared with."""
+        assert self.find_finer is not None
+        return self.find_finer(self)
+
+    @property
+    def _least_error(self) -> float:
+        """Relative error that no comparison with a path of a higher degree shows."""
+        return max(self.missed, *(float(np.max(indicator)) for indicator in self._indicators))
+
+    def _difference(self) -> float:
+        """Relative difference of path and duration to those of the path of a higher degree."""
+        try:
+            (finer,) = self._finer
+        except ConvergenceError:
+            return math.inf
+        lasting = float(np.ptp(finer.t) / np.ptp(self.t))
+        return max(difference_of_paths(self.polynomial, finer.polynomial), abs(lasting - 1), self.missed)
 
     @cached_property
     def _indicators(self) -> tuple[np.ndarray, ...]:
@@ -248,6 +342,13 @@ class Trajectory(Path):
         times = np.linspace(self.t[0], self.t[-1], count)
         return animate_linkage(times, self._places(points, times), duration / count, axes, unit)
 
+    def _asked(self) -> list[str]:
+        """A line on the quantity that was asked for, if any."""
+        if self.asked is None:
+            return []
+        value = np.array2string(np.array(self.asked), precision=12, threshold=6, edgeitems=2).replace("\n", "")
+        return [f"  asked       {value}, error {self.asked_error:.1e} of its size, estimated"]
+
     def _accuracy(self) -> list[str]:
         """Lines on the error of x, if it is known, and that this mesh does not resolve the path, if so."""
         if self.error_estimate is None:
@@ -303,6 +404,7 @@ class Trajectory(Path):
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {self._kind()}",
                 f"  energy      {self.energy[0]:.12g} at the start, its balance kept to {self._energy_balance()}",
+                *self._asked(),
                 *self._accuracy(),
                 f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, "
                 f"residual {self.residual:.1g} times its roundoff floor",

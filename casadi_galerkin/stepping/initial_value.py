@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import FEWEST, higher_degree_method, largest_difference, method_for
+from casadi_galerkin.calculus.mesh_adaptation import FEWEST, higher_degree_method, method_for
 from casadi_galerkin.calculus.numbers import told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -22,12 +20,13 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 
-def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int) -> Trajectory:
+def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
     """Solve an initial problem step by step on the joints of a mesh; see `solve`.
 
     Where a path meets a singularity, a step may still have a solution that lies beyond it, because the discrete
@@ -40,10 +39,16 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     build = stepper.build_seconds
     seconds = time.perf_counter() - began - build
     path = trajectory(problem, stepper, roll, int(roll.iterations.sum()), "step by step", build, seconds)
-    path = replace(path, find_difference=partial(_difference, problem, path.polynomial, path.momentum[:, 0]))
+    path = replace(path, find_finer=finer)
     if verbose:
         print(path)
     return path
+
+
+def finer(path: Trajectory) -> tuple[Trajectory]:
+    """The path of a higher degree on the same joints, from the same start."""
+    assert isinstance(path.problem, InitialProblem)
+    return (integrate(path.problem, higher_degree_method(path.method.degree), path.t),)
 
 
 def to_tolerance(
@@ -54,8 +59,9 @@ def to_tolerance(
     intervals: int | None,
     mesh: ArrayLike | None,
     limits: Limits,
+    of: Quantity | None = None,
 ) -> Trajectory:
-    """The path on steps that are halved until its estimated error is at most `tol`.
+    """The path on steps that are halved until its estimated error, or that of a quantity of it, is at most `tol`.
 
     All steps are halved, so that equal ones stay equal, and what they conserve is conserved; a failure on long steps
     is no end, either.
@@ -65,18 +71,24 @@ def to_tolerance(
         intervals = FEWEST + len(problem.breakpoints)
     joints = mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
     best: Trajectory | None = None
+    smallest = np.inf
     failure: ConvergenceError | None = None
     while len(joints) - 1 <= limits.intervals and time.perf_counter() <= deadline:
         try:
             path = steps(method, joints)
-        except ConvergenceError as error:
-            failure = error
+        except ConvergenceError as caught:
+            failure = caught
         else:
-            if path.estimate_error() <= tol:
+            error = path.estimate_error()
+            if of is not None:
+                path = path.asked_for(of)
+                error = path.asked_error or 0.0
+            if error <= tol:
                 return path
-            best = path if best is None or path.estimate_error() < best.estimate_error() else best
+            if error < smallest:
+                best, smallest = path, error
         joints = np.insert(joints, range(1, len(joints)), (joints[:-1] + joints[1:]) / 2)
-    reached = f"the best path has an estimated error of {best.estimate_error():.1e}" if best else failure or "no path"
+    reached = f"the best path has an estimated error of {smallest:.1e}" if best else failure or "no path"
     raise LimitReached(
         f"tolerance {tol:g} was not reached within {limits.intervals:g} intervals and {limits.seconds:g} seconds: "
         f"{reached}. Raise the limits or tol; where neighboring paths part fast, steps keep few digits",
@@ -106,15 +118,6 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
     inner = roll.x[:, :count, None] + roll.slopes[:, :count] @ stepper.basis.values(nodes[:-1]).T
     values = np.column_stack((inner.reshape(d, -1), roll.x[:, count]))
     return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)
-
-
-def _difference(problem: InitialProblem, path: PiecewisePolynomial, momentum: np.ndarray) -> float:
-    """Relative difference of a stepped path from one of a higher degree with the same first position and momentum."""
-    stepper, intervals = Stepper(problem, higher_degree_method(path.degree)), len(path.mesh) - 1
-    roll = stepper.roll(path.values[:, 0], momentum, path(path.mesh[0], 1), path.mesh)
-    if roll.solved_steps < intervals:
-        return math.inf
-    return largest_difference(path, path_of(roll, stepper, intervals))
 
 
 def trajectory(

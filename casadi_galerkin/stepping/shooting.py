@@ -9,7 +9,6 @@ the growth comes near 1/eps, no start that a computer holds meets the end, and `
 
 from __future__ import annotations
 
-import math
 import time
 from contextlib import suppress
 from dataclasses import replace
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
-from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
+from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
 from casadi_galerkin.functional.boundary_terms import end_velocities
@@ -134,8 +133,7 @@ def _shot(problem: BoundaryProblem, guess: Trajectory | None, method: Galerkin, 
     wrong = _other_end(problem, path) or turned_back(problem, path.polynomial, shooting.plane)
     if wrong is not None:
         raise ConvergenceError(wrong, Path(path.polynomial), shot.residual, iterations)
-    path = replace(path, action=action, residual=shot.residual)
-    return replace(path, find_difference=partial(_difference, path, _missed(shot)[0]))
+    return replace(path, action=action, residual=shot.residual, missed=_missed(shot)[0], find_finer=finer)
 
 
 def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
@@ -163,19 +161,10 @@ def _other_end(problem: BoundaryProblem, path: Trajectory) -> str | None:
     )
 
 
-def _difference(path: Trajectory, missed: float) -> float:
-    """Relative difference of a path and its duration from those of a higher degree that meets the same ends.
-
-    Rounding moves the start of that one as it does its own, so that by what part of its size the path misses the end is
-    added.
-    """
+def finer(path: Trajectory) -> tuple[Trajectory]:
+    """The path of a higher degree on the same joints that meets the same ends."""
     assert isinstance(path.problem, BoundaryProblem)
-    own = path.polynomial
-    try:
-        finer = shoot(path.problem, higher_degree_method(own.degree), mesh=own.mesh, guess=path).polynomial
-    except ConvergenceError:
-        return math.inf
-    return max(largest_difference(own, finer), abs(float(np.ptp(finer.mesh) / np.ptp(own.mesh)) - 1)) + missed
+    return (shoot(path.problem, higher_degree_method(path.method.degree), mesh=path.t, guess=path),)
 
 
 def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,150 @@
+"""Quantities of a path: their errors, and tolerances of them."""
+
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+from slow import slow
+
+import casadi_galerkin as cg
+
+SWING = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 10), start=[0.0], end=[1.0])
+QUANTITIES = {
+    "end momentum": lambda path: path.momentum[:, -1],
+    "end velocity": lambda path: path(path.t[-1], 1),
+    "position": lambda path: path(3.3)[0],
+    "action": lambda path: path.action,
+    "energy": lambda path: path.energy[0],
+    "start velocity": lambda path: path.velocity[:, 0],
+}
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return cg.solve(SWING, cg.Galerkin(16), intervals=12, guess=cg.solve(SWING, tol=1e-11))
+
+
+def pushed(**changes):
+    rules = {"force": lambda t, x, v, u: u - ca.sin(x), "running_cost": lambda t, x, v, u: u**2 / 2, "controls": 1}
+    ends = [0.0], [1.0], [0.0], [0.0]
+    return cg.ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), *ends, **{**rules, **changes})
+
+
+@pytest.mark.parametrize("name", QUANTITIES)
+@pytest.mark.parametrize("degree", [3, 5])
+def test_the_error_of_a_quantity_is_its_difference_to_the_path_of_a_higher_degree(exact, name, degree):
+    path, of = cg.solve(SWING, cg.Galerkin(degree), intervals=10, guess=exact), QUANTITIES[name]
+    true, error = np.abs(of(path) - of(exact)), path.error_of(of)
+    assert error.shape == np.shape(of(path))
+    assert 0.9 * error.max() <= true.max() <= 1.1 * error.max()
+
+
+@pytest.mark.parametrize("name", QUANTITIES)
+@pytest.mark.parametrize("tol", [1e-5, *slow(1e-9)])
+def test_a_tolerance_of_a_quantity_is_met_by_the_quantity(exact, name, tol):
+    of = QUANTITIES[name]
+    path = cg.solve(SWING, tol=tol, of=of, guess=exact)
+    true = np.max(np.abs(of(path) - of(exact))) / np.max(np.abs(of(exact)))
+    assert true <= max(1.1 * path.asked_error, 1e-13)
+    assert path.asked_error <= tol
+    assert np.array_equal(path.asked, of(path))
+    assert f"error {path.asked_error:.1e} of its size" in repr(path)
+    assert f"{path.error_estimate:.1e}, estimated, relative to the size of each component" in repr(path)
+
+
+def test_momenta_need_fewer_intervals_than_positions_and_velocities_more():
+    few, some, more = (
+        len(cg.solve(SWING, cg.Galerkin(4), tol=1e-7, of=of).t)
+        for of in (QUANTITIES["end momentum"], None, QUANTITIES["end velocity"])
+    )
+    assert few < 0.6 * some < some < more
+
+
+def test_paths_of_higher_degree_are_found_once_and_kept_on_the_way_to_another_process():
+    path = cg.solve(SWING, tol=1e-8, of=QUANTITIES["action"])
+    again = pickle.loads(pickle.dumps(path))
+    assert again.error_of(QUANTITIES["energy"]) == path.error_of(QUANTITIES["energy"])
+    assert again.__dict__["_finer"][0].action == path.__dict__["_finer"][0].action
+
+
+@pytest.mark.parametrize("solve", [cg.solve, *slow(cg.shoot)])
+def test_stepped_paths_know_the_errors_of_quantities(exact, solve):
+    if solve is cg.solve:
+        start = cg.InitialProblem(SWING.lagrangian, (0, 10), [0.0], momentum=exact.momentum[:, 0])
+        path = solve(start, cg.Galerkin(4), 20)
+    else:
+        path = solve(SWING, cg.Galerkin(4), 20, guess=exact)
+    true = abs(path.action - exact.action)
+    assert 0.9 * true < path.error_of(lambda path: path.action) < 1.5 * true
+
+
+def test_steps_are_halved_until_a_quantity_is_known(exact):
+    start = cg.InitialProblem(SWING.lagrangian, (0, 10), [0.0], momentum=exact.momentum[:, 0])
+    path = cg.solve(start, cg.Galerkin(4), tol=1e-7, of=QUANTITIES["end momentum"])
+    assert path.asked_error <= 1e-7 < path.error_estimate
+    assert path.asked == pytest.approx(exact.momentum[:, -1], rel=2e-7)
+
+
+def test_a_kink_that_both_degrees_miss_is_an_error_of_every_quantity():
+    bounce = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - 50 * ca.fabs(x[0] - 0.3337), (0, 1), start=[0.0], end=[1.0]
+    )
+    path = cg.solve(bounce, cg.Galerkin(8), intervals=3)
+    exact = cg.solve(bounce, cg.Galerkin(4), intervals=2000, guess=path)
+    assert abs(path.action - exact.action) <= path.error_of(lambda path: path.action)
+
+
+@pytest.mark.parametrize(
+    ("of", "error", "match"),
+    [
+        (3.0, TypeError, r"of must be a callable path -> number or array, got 3\.0"),
+        (lambda path: None, TypeError, "what of returns must be real numbers, got None"),
+        (lambda path: "x", TypeError, "what of returns must be real numbers, got 'x'"),
+        (lambda path: np.nan, ValueError, "of must return finite numbers, got nan"),
+        (lambda path: [], ValueError, r"of must return finite numbers, got \[\]"),
+        (lambda path: path.x[3], ValueError, "of raised IndexError"),
+        (lambda path: path.polynomial.values, ValueError, "whose shape does not depend on the path"),
+        (lambda path: 7.0, ValueError, r"of depends on no unknown of the path: it is 7\.0 on every path"),
+        (lambda path: path.x[:, 0], ValueError, "of depends on no unknown of the path"),
+        (lambda path: path.t[-1], ValueError, "of depends on no unknown of the path"),
+    ],
+)
+def test_what_is_no_quantity_is_refused(of, error, match):
+    with pytest.raises(error, match=match):
+        cg.solve(SWING, tol=1e-3, of=of)
+
+
+def test_a_quantity_needs_its_tolerance():
+    with pytest.raises(ValueError, match="of is what a tolerance is asked of: give tol with it"):
+        cg.solve(SWING, cg.Galerkin(3), 10, of=QUANTITIES["action"])
+
+
+def test_a_limit_returns_the_quantity_with_the_error_reached():
+    with pytest.raises(cg.LimitReached, match="tolerance 1e-09 was not reached") as caught:
+        cg.solve(SWING, cg.Galerkin(2), tol=1e-9, of=QUANTITIES["end velocity"], limits=cg.Limits(intervals=400))
+    path = caught.value.path
+    assert path.asked == QUANTITIES["end velocity"](path)
+    assert 1e-9 < path.asked_error < 1e-2
+
+
+def test_an_optimum_is_refined_for_a_quantity_of_it():
+    path = cg.solve(pushed(), cg.Galerkin(3), tol=1e-6, of=lambda path: path.momentum[:, -1] + path.cost)
+    assert path.asked_error <= 1e-6 < path.error_estimate
+    finer = cg.solve(pushed(), cg.Galerkin(10), 12)
+    assert abs(finer.momentum[0, -1] + finer.cost - path.asked[0]) <= 1e-6 * abs(path.asked[0])
+    assert "asked" in repr(path)
+
+
+def test_the_errors_of_an_optimum_are_at_least_those_of_the_cost():
+    path, finer = cg.solve(pushed(), cg.Galerkin(3), 4), cg.solve(pushed(), cg.Galerkin(10), 12)
+    true = abs(path.cost - finer.cost)
+    assert true <= path.error_of(lambda path: path.cost) <= 2.5 * true
+
+
+def test_a_free_duration_is_known_to_its_tolerance():
+    bounds = {"duration_bounds": (0.5, 4.0), "control_bounds": ([-2.0], [2.0])}
+    fastest = pushed(running_cost=lambda t, x, v, u: 1.0 + 0 * t, force=lambda t, x, v, u: u, **bounds)
+    path = cg.solve(fastest, tol=1e-6, of=lambda path: path.t[-1])
+    assert abs(path.asked - np.sqrt(2.0)) <= 1.42e-6
+    assert isinstance(path.asked, float)
