@@ -26,7 +26,7 @@ def main() -> cg.Comparison:
     """Compare the global path with the stepwise ways to it."""
     method, intervals = cg.Galerkin(degree=8), DURATION * STEPS_A_SECOND
     start = [2.0, 2.5]
-    motion = cg.InitialProblem(lagrangian, (0, DURATION), position=start, velocity=[0, 0])
+    motion = cg.InitialProblem(lagrangian, (0, DURATION), start=start, velocity=[0, 0])
     guess = cg.solve(motion, method, intervals)
     problem = cg.BoundaryProblem(lagrangian, (0, DURATION), start=start, end=np.round(guess.x[:, -1], 2).tolist())
     return cg.compare(problem, method, intervals, guess=guess)

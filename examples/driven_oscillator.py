@@ -36,7 +36,7 @@ def response(t: np.ndarray) -> np.ndarray:
 
 def main() -> tuple[cg.Trajectory, cg.Geometry]:
     """Step from x = 2 at rest into the response; returns the path and its geometry."""
-    problem = cg.InitialProblem(lagrangian, (0, DURATION), position=[2.0], velocity=[0.0], force=force)
+    problem = cg.InitialProblem(lagrangian, (0, DURATION), start=[2.0], velocity=[0.0], force=force)
     path = cg.solve(problem, cg.Galerkin(degree=6), INTERVALS)
     return path, cg.geometry(path)
 

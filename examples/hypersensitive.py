@@ -1,6 +1,6 @@
 """A problem of first order that forgets its ends at once: x' = -x³ + u, least ∫ (x² + u²)/2 over a long time.
 
-There is nothing mechanical here: no Lagrangian, no force, one component that follows its rate.  The path drops to zero
+There is nothing mechanical here, one component that follows its rate.  The path drops to zero
 within a few units of time, stays there, and rises to the end in the last few; a mesh of equal intervals sees neither.
 A tolerance grades the mesh by itself.
 
@@ -18,16 +18,12 @@ START, END, DURATION = 1.5, 1.0, 1e4
 def problem():
     """One component, one control, no mechanics."""
     return cg.ControlProblem(
-        None,
-        (0.0, DURATION),
-        start=[START],
-        end=[END],
-        start_velocity=[None],
-        end_velocity=[None],
-        force=None,
-        running_cost=lambda t, x, v, u: (x[0] ** 2 + u[0] ** 2) / 2,
+        rates=lambda t, x, v, u: -(x**3) + u,
+        t_span=(0.0, DURATION),
+        start=START,
+        end=END,
+        running_cost=lambda t, x, v, u: (x**2 + u**2) / 2,
         controls=1,
-        rates=lambda t, x, v, u: -(x[0] ** 3) + u[0],
     )
 
 

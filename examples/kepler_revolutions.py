@@ -31,7 +31,7 @@ def main() -> tuple[cg.Trajectory, cg.Geometry]:
     """Step through all revolutions from the perihelion; returns the path and what it conserves."""
     perihelion = SEMI_MAJOR_AXIS * (1 - ECCENTRICITY)
     speed = np.sqrt(GM * (2 / perihelion - 1 / SEMI_MAJOR_AXIS))
-    problem = cg.InitialProblem(lagrangian, (0, REVOLUTIONS * PERIOD), position=[perihelion, 0], velocity=[0, speed])
+    problem = cg.InitialProblem(lagrangian, (0, REVOLUTIONS * PERIOD), start=[perihelion, 0], velocity=[0, speed])
     path = cg.solve(problem, cg.Galerkin(degree=8), intervals=REVOLUTIONS * STEPS_A_REVOLUTION)
     conserved = cg.geometry(path, symmetry=rotation)
     return path, conserved

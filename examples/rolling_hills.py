@@ -24,10 +24,8 @@ def problem(hills=1, begin=0.0):
     return cg.ControlProblem(
         lagrangian,
         (0.0, hills * TIME),
-        start=[begin],
-        end=[begin + hills * HILL],
-        start_velocity=[None],
-        end_velocity=[None],
+        start=begin,
+        end=begin + hills * HILL,
         force=lambda t, x, v, u: u[0] - DRAG * v[0],
         running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
         controls=1,

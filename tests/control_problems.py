@@ -32,10 +32,7 @@ def speed_limited(limit):
 def first_order(**changes):
     """One component whose rate is the control, from 0 to 1 in unit time, least ∫u²/2."""
     fields = {
-        "lagrangian": None,
-        "force": None,
-        "start_velocity": [None],
-        "end_velocity": [None],
+        **dict.fromkeys(("lagrangian", "force", "start_velocity", "end_velocity")),
         "rates": lambda t, x, v, u: u,
     }
     return double_integrator(**(fields | changes))

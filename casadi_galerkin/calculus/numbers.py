@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.roundoff import ZERO
+
+Values: TypeAlias = float | Sequence[float | None]  # of all components, or of the only one
 
 APART = 1e-12  # least relative difference of two times; between nearer ones velocities would be roundoff
 
@@ -137,9 +139,10 @@ def _place(index: Sequence[int] | np.ndarray) -> str:
     return f" at {[int(i) for i in index]}" if len(index) else ""
 
 
-def components(name: str, values: Sequence[float | None], length: int | None = None) -> tuple[float | None, ...]:
-    """Check a sequence of finite numbers in which None stands for a free component."""
-    array = real_array(name, values, free=True)
+def components(name: str, values: Values, length: int | None = None) -> tuple[float | None, ...]:
+    """Check a sequence of finite numbers in which None stands for a free component; one component may be a number."""
+    only = None if hasattr(values, "__len__") else number(values)
+    array = real_array(name, values if only is None else [only], free=True)
     if array.ndim != 1:
         raise ValueError(f"{name} must be one-dimensional, got an array of shape {array.shape}")
     if len(array) == 0 or (length is not None and len(array) != length):
@@ -152,7 +155,7 @@ def components(name: str, values: Sequence[float | None], length: int | None = N
     return checked
 
 
-def numbers(name: str, values: Sequence[float], length: int | None = None) -> tuple[float, ...]:
+def numbers(name: str, values: Values, length: int | None = None) -> tuple[float, ...]:
     """Check a sequence of finite numbers."""
     checked = components(name, values, length)
     if None in checked:

@@ -67,9 +67,9 @@ def continuous_controls(
     values : one array for every field of the `Chain`
     """
     found = values["controls"]
-    controls = found.reshape(-1, chain.controls).copy()
-    if problem.hold or not controls.size:
+    if problem.hold or not found.size:
         return found
+    controls = found.reshape(-1, chain.controls).copy()
     if np.all(np.abs(np.diff(controls, axis=0)) <= LONG_STEP * np.ptp(controls, axis=0)):
         return found
     effect = _effect(problem.force, problem.rates, problem.running_cost, problem.path_constraint[0])

@@ -84,7 +84,7 @@ class ControlGraph:
         self._everything = ca.vertcat(self.unknowns, self.data)
         self.inputs = _split(ca.mtimes(made.matrix, self._everything), made.inputs)
         self._weights = ca.MX(ca.repmat(ca.DM(chain.method.element.weights).T, 1, chain.intervals))
-        self.cost = self._integral(self._evaluate("value", self.inputs))
+        self.cost = ca.densify(self._integral(self._evaluate("value", self.inputs)))
         self._rows = self._evaluate("equations", self.inputs)
         summed = ca.mtimes(made.test.T, ca.veccat(*self._rows)) + ca.mtimes(made.linear, self.unknowns)
         self.equations = ca.densify(summed)

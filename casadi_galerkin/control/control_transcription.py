@@ -353,7 +353,7 @@ class ControlTranscription:
     def _over_time(self, joints: np.ndarray, points: np.ndarray, values: np.ndarray) -> ControlPath:
         """Values (N, points, n) as functions of time."""
         rule = self.method.element.points
-        return ControlPath(joints, points, values.reshape(-1, values.shape[-1]).T, rule)
+        return ControlPath(joints, points, np.concatenate(values).T, rule)
 
     def __repr__(self) -> str:
         """Say what was built."""

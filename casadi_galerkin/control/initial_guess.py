@@ -140,4 +140,4 @@ def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus,
         where = "in the intervals" if problem.hold else "at the quadrature points"
         raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")
     check_finite_values(name, values, times)
-    return np.clip(values.T, *problem.control_bounds).reshape(chain.intervals, -1, chain.controls)
+    return np.clip(values.T, *problem.control_bounds).reshape(chain.fields["controls"].shape)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, counted, flag
+from casadi_galerkin.calculus.numbers import Values, components, counted, flag
 from casadi_galerkin.problems.callables import Traceable, depends_on_time
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.legendre_transform import legendre_transform, singular_mass
@@ -152,8 +152,8 @@ class BoundaryProblem(Problem):
     lagrangian : callable (t, x, v) or, with parameters, (t, x, v, p) -> scalar
         t scalar, x and v CasADi vectors of shape (d,), p of shape (len(parameters),); written with CasADi functions
     t_span : (t_0, t_N), in the unit of time of the Lagrangian; with `energy`, t_N is a guess
-    start, end : d numbers each, in the units of x; None leaves the component free, with zero momentum there
-        (natural boundary condition) unless one of the following says otherwise
+    start, end : d numbers each, in the units of x; here and below a number is enough where d = 1.  None leaves the
+        component free, with zero momentum there (natural boundary condition) unless one of the following says otherwise
     parameters : numbers passed to all callables as p, their last argument; default none
     periodic : whether x(t_N) = x(t_0) with equal momenta; `end` is left out.  `start` may fix components of that point,
         whose momenta may then differ; if one component is fixed and the energy given, they do not, and the orbit must
@@ -181,7 +181,7 @@ class BoundaryProblem(Problem):
 
     Examples
     --------
-    >>> BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0]).dimension
+    >>> BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=0.0, end=1.0).dimension
     1
     """
 
@@ -207,17 +207,17 @@ class BoundaryProblem(Problem):
         self,
         lagrangian: Traceable,
         t_span: Sequence[float],
-        start: Sequence[float | None],
-        end: Sequence[float | None] | None = None,
+        start: Values,
+        end: Values | None = None,
         *,
-        parameters: Sequence[float] | None = None,
+        parameters: Values | None = None,
         periodic: bool = False,
         force: Traceable | None = None,
         constraint: Traceable | None = None,
-        start_velocity: Sequence[float | None] | None = None,
-        end_velocity: Sequence[float | None] | None = None,
-        start_momentum: Sequence[float | None] | None = None,
-        end_momentum: Sequence[float | None] | None = None,
+        start_velocity: Values | None = None,
+        end_velocity: Values | None = None,
+        start_momentum: Values | None = None,
+        end_momentum: Values | None = None,
         end_action: Traceable | None = None,
         end_conditions: Traceable | None = None,
         energy: float | None = None,

@@ -33,7 +33,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
     ----------
     name : its name in messages
     function : callable; a casadi Function is checked like any other, and returned unchanged if it has this layout
-    sizes : length of every argument, in order
+    sizes : length of every argument, in order; the callable does not take those of length zero, as without controls
     rows : expected length of the result, which may be a list; "any" for a vector of any length, or "scalar"
 
     Raises
@@ -41,12 +41,14 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
     TypeError, ValueError
         naming what came and what was expected
     """
-    shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in sizes.items())
+    taken: Mapping[str, int] = {key: size for key, size in sizes.items() if size}
+    shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in taken.items())
     if isinstance(function, ca.Function):
-        _check_function(name, function, sizes, shapes)
+        taken = sizes if function.n_in() == len(sizes) else taken  # as of a problem whose fields are replaced
+        _check_function(name, function, taken, shapes)
     elif not callable(function):
-        raise TypeError(f"{name} must be a callable of ({', '.join(sizes)}), got {function!r}")
-    traced = function if _is_traced(function, sizes, rows) else _traced(name, function, sizes, rows, shapes)
+        raise TypeError(f"{name} must be a callable of ({', '.join(taken)}), got {function!r}")
+    traced = function if _is_traced(function, sizes, rows) else _traced(name, function, sizes, taken, rows, shapes)
     kinds = [traced.instruction_id(k) for k in range(traced.n_instructions())]
     if ca.OP_CALL in kinds:
         try:
@@ -87,11 +89,13 @@ def _is_traced(function: Traceable, sizes: Mapping[str, int], rows: int | Rows) 
     return dense and [sparsity.shape for sparsity in inputs] == shapes and output.shape == (length, 1)
 
 
-def _traced(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows, shapes: str) -> ca.Function:
-    """A callable as a Function from columns to one column."""
-    _refuse_order(name, function, list(sizes))
-    symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
-    copies = {key: symbol[:] for key, symbol in zip(sizes, symbols, strict=True)}  # which it may change
+def _traced(
+    name: str, function: Traceable, sizes: Mapping[str, int], taken: Iterable[str], rows: int | Rows, shapes: str
+) -> ca.Function:
+    """A callable of the arguments that it has `taken` as a Function of all, from columns to one column."""
+    _refuse_order(name, function, list(taken))
+    symbols = {key: ca.SX.sym(key, size) for key, size in sizes.items()}
+    copies = {key: symbols[key][:] for key in taken}  # which it may change
     value = _called(name, function, copies, shapes)
     if isinstance(value, (list, tuple, np.ndarray)) and rows != "scalar":
         value = _column(name, value)
@@ -102,7 +106,8 @@ def _traced(name: str, function: Traceable, sizes: Mapping[str, int], rows: int 
     if value.shape != (length, 1):
         expected = {"any": "a column vector", "scalar": "a scalar"}.get(str(rows), f"a vector of length {rows}")
         raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
-    traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
+    value = ca.densify(value)
+    traced = ca.Function(name, [*symbols.values()], [value], list(sizes), ["value"], {"allow_free": True})
     _refuse_free(name, traced, shapes)
     return traced
 
@@ -197,15 +202,15 @@ def depends_on_time(*functions: ca.Function | None) -> bool:
     return any(f is not None and f.sparsity_jac(0, 0).nnz() for f in functions)
 
 
-def of_nothing(name: str, sizes: Mapping[str, int]) -> ca.Function:
-    """A Function without values, for a callable that is left out."""
+def of_zeros(name: str, sizes: Mapping[str, int], rows: int) -> ca.Function:
+    """A Function whose values are structurally zero, for a callable that is left out."""
     symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
-    return ca.Function(name, symbols, [ca.SX(0, 1)], list(sizes), ["value"])
+    return ca.Function(name, symbols, [ca.SX(rows, 1)], list(sizes), ["value"])
 
 
-def is_of_nothing(function: object) -> bool:
-    """Whether it is the Function `of_nothing`, which is passed again where a field of a problem is replaced."""
-    return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
+def left_out(function: object) -> bool:
+    """Whether it is None, or the Function `of_zeros` that stands for it where a field of a problem is replaced."""
+    return function is None or (isinstance(function, ca.Function) and function.n_out() == 1 and not function.nnz_out(0))
 
 
 def trace_lagrangian(lagrangian: Traceable, sizes: Mapping[str, int], count: int) -> ca.Function:
@@ -215,7 +220,11 @@ def trace_lagrangian(lagrangian: Traceable, sizes: Mapping[str, int], count: int
     ignored = [i for i in range(count) if not used.has_nz(0, i)]
     if ignored:
         names = ", ".join(f"v[{i}]" for i in ignored)
-        raise ValueError(f"the lagrangian ignores {names}: without a velocity there is no equation of motion for it")
+        reason = "without a velocity there is no equation of motion for it"
+        rated = (
+            "" if count == sizes["v"] else ", nor is its rate among the rates, which are those of the last components"
+        )
+        raise ValueError(f"the lagrangian ignores {names}: {reason}{rated}")
     for i in range(count, sizes["v"]):
         if used.has_nz(0, i):
             raise ValueError(f"the lagrangian depends on v[{i}], but x[{i}] follows a rate and has no momentum")

@@ -11,6 +11,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
 from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend, sizes_of_terms
+from casadi_galerkin.problems.problem import ENDS
 
 CONSTRAINT_TOLERANCE = 1e-12  # accepted violation by a given position or velocity, relative to the terms of g
 
@@ -34,7 +35,7 @@ def places(problem: Any) -> list[tuple[str, float, tuple[float | None, ...], np.
     """
     if problem.constraint is None:
         return []
-    names = ("position",) if hasattr(problem, "position") else ("start", "end")
+    names = [name for name in ENDS if hasattr(problem, name)]
     known = getattr(problem, "determined_constraints", lambda _: np.ones(problem.constraint.numel_out(0), dtype=bool))
     return [(name, problem.t_span[k], getattr(problem, name), known(k)) for k, name in enumerate(names)]
 
@@ -78,7 +79,7 @@ def leaving_velocity(problem: Any) -> Iterator[str]:
     Up to rounding of the largest velocity, or of the largest length over the duration where that is larger.
     """
     for name, when, x, known in places(problem):
-        of = "velocity" if name == "position" else f"{name}_velocity"
+        of = f"{name}_velocity" if hasattr(problem, "end") else "velocity"
         v = getattr(problem, of)
         if v is None or None in (*x, *v):
             continue

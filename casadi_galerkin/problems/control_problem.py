@@ -11,17 +11,18 @@ where z are the components of x that follow rates, and c is a holonomic constrai
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import counted, times_inside, whole_number
+from casadi_galerkin.calculus.numbers import Values, counted, times_inside, whole_number
+from casadi_galerkin.calculus.numbers import components as checked_components
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, within_rounding
 from casadi_galerkin.problems.breakpoint_events import Crossing, Pairs, Waypoint, is_limited, jumps, waypoints
-from casadi_galerkin.problems.callables import Traceable, depends_on_time, is_of_nothing, of_nothing, trace
+from casadi_galerkin.problems.callables import Traceable, depends_on_time, left_out, of_zeros, trace
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
 from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import singular_mass
@@ -37,18 +38,19 @@ from casadi_galerkin.problems.statements import (
     span,
     switch,
     vector,
+    vector_or_nothing,
     within,
 )
 
 
 def _controls(name: str, value: Any, _: Made) -> int:
-    return whole_number(name, value)
+    return whole_number(name, value, least=0)
 
 
 def _rates(name: str, value: Any, made: Made) -> ca.Function:
     """Rates of the last components, as many as there are values."""
     sizes, d = lengths("t x v u", made), dimension(made)
-    rates = of_nothing(name, sizes) if value is None or is_of_nothing(value) else trace(name, value, sizes, "any")
+    rates = of_zeros(name, sizes, 0) if left_out(value) else trace(name, value, sizes, "any")
     if rates.numel_out(0) > d:
         raise ValueError(
             f"rates must be those of at most all {counted(d, 'component')}, got {rates.numel_out(0)} values"
@@ -56,28 +58,34 @@ def _rates(name: str, value: Any, made: Made) -> ca.Function:
     return rates
 
 
-def _mechanics(reader: Callable[[str, Any, Made], Any]) -> Callable[[str, Any, Made], Any]:
-    """Read what moves components without rates; None where all components have one."""
-
-    def read_moving(name: str, value: Any, made: Made) -> Any:
-        mechanical = dimension(made) - made["rates"].numel_out(0)
-        if value is None and mechanical:
-            raise ValueError(f"{name} is None, but {counted(mechanical, 'component')} without rates must move")
-        if value is not None and not mechanical:
-            raise ValueError(f"all components follow rates: {name} must be None, got {value!r}")
-        return reader(name, value, made)
-
-    return read_moving
+def _mechanical(name: str, value: Any, made: Made) -> int:
+    """Number of components without rates, which a Lagrangian and a force move; without any, neither is given."""
+    rated = made["rates"].numel_out(0)
+    if rated == dimension(made) and not left_out(value):
+        raise ValueError(f"all components follow rates: leave out {name}, got {value!r}")
+    return dimension(made) - rated
 
 
 def _lagrangian(name: str, value: Any, made: Made) -> ca.Function:
-    return lagrangian(name, (lambda *_: 0.0) if value is None else value, made)
+    mechanical, d = _mechanical(name, value, made), dimension(made)
+    if not left_out(value):
+        return lagrangian(name, value, made)
+    if mechanical:
+        first = ", ".join(f"x[{i}]" for i in range(mechanical))
+        raise ValueError(
+            f"nothing moves {first}: give a lagrangian, or rates of all {counted(d, 'component')}, got {d - mechanical}"
+        )
+    return of_zeros(name, lengths("t x v", made), 1)
 
 
 def _force(name: str, value: Any, made: Made) -> ca.Function:
+    sizes, count = lengths("t x v u", made), _mechanical(name, value, made)
+    return of_zeros(name, sizes, count) if left_out(value) else trace(name, value, sizes, count)
+
+
+def _running_cost(name: str, value: Any, made: Made) -> ca.Function:
     sizes = lengths("t x v u", made)
-    count = dimension(made) - made["rates"].numel_out(0)
-    return of_nothing(name, sizes) if value is None else trace(name, value, sizes, count)
+    return of_zeros(name, sizes, 1) if left_out(value) else trace(name, value, sizes, "scalar")
 
 
 def _breakpoints(name: str, value: Any, made: Made) -> tuple[float, ...]:
@@ -108,15 +116,15 @@ STATEMENTS = {
     "controls": _controls,
     "parameters": parameters,
     "rates": _rates,
-    "lagrangian": _mechanics(_lagrangian),
-    "force": _mechanics(_force),
+    "lagrangian": _lagrangian,
+    "force": _force,
     "position_bounds": within("x"),
     "waypoints": waypoints,
     "jumps": jumps,
     "t_span": span,
     "breakpoints": _breakpoints,
-    **dict.fromkeys(("end", "start_velocity", "end_velocity"), vector),
-    "running_cost": function("t x v u", "scalar"),
+    **dict.fromkeys(("end", "start_velocity", "end_velocity"), vector_or_nothing),
+    "running_cost": _running_cost,
     "terminal_cost": function("t x v", "scalar"),
     "control_bounds": within("controls"),
     "path_constraint": limited("t x v u"),
@@ -134,13 +142,13 @@ class ControlProblem(Problem):
 
     Parameters
     ----------
-    lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`; None where all components follow rates
+    lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`; left out where all components follow rates
     t_span : (t_0, t_N); with `duration_bounds` t_N is a guess
-    start, end : d positions each; None leaves the component free
+    start, end : d positions each, or a number where d = 1; None leaves the component free, as None as a whole does all
     start_velocity, end_velocity : d velocities each; None leaves the component free
     force : callable (t, x, v, u) -> one generalized force for every component but the last k, see `rates`
     running_cost : callable (t, x, v, u) -> scalar, integrated over time
-    controls : number of controls, the length of u
+    controls : number of controls, the length of u; without any, callables do not take u
     terminal_cost : callable (t, x, v) -> scalar, added to the cost with the values at the end
     control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
     position_bounds : (lo, hi), each a scalar or one number per component; held at the joints and the
@@ -168,6 +176,7 @@ class ControlProblem(Problem):
         dropped or a ball bounces; a waypoint at that time is passed before the jump.  What it returns for the velocity
         of a component that follows a rate is ignored.  A constant of a phase is a component of rate zero that jumps
     hold : True for controls that are constant on every interval, as hardware holds them
+    components : d, where `start` is left out
 
     Raises
     ------
@@ -176,9 +185,12 @@ class ControlProblem(Problem):
 
     Examples
     --------
-    >>> ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
+    >>> ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=0.0, end=1.0, start_velocity=0.0, end_velocity=0.0,
     ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1).dimension
     1
+    >>> ControlProblem(rates=lambda t, x, v, u: u - x, t_span=(0, 1), start=1.0, controls=1,
+    ...     running_cost=lambda t, x, v, u: x**2 + u**2).mechanical  # of first order
+    0
     >>> ball = ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 2), [1.0], [1.0], [0.0], [0.0],
     ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1,
     ...     waypoints=[(1.0, [0.0])], jumps=[(1.0, lambda x, v: (x, -0.8 * v))])  # a wall
@@ -213,21 +225,21 @@ class ControlProblem(Problem):
 
     def __init__(
         self,
-        lagrangian: Traceable | None,
-        t_span: Sequence[float],
-        start: Sequence[float | None],
-        end: Sequence[float | None],
-        start_velocity: Sequence[float | None],
-        end_velocity: Sequence[float | None],
-        force: Traceable | None,
-        running_cost: Traceable,
-        controls: int,
+        lagrangian: Traceable | None = None,
+        t_span: Sequence[float] | None = None,
+        start: Values | None = None,
+        end: Values | None = None,
+        start_velocity: Values | None = None,
+        end_velocity: Values | None = None,
+        force: Traceable | None = None,
+        running_cost: Traceable | None = None,
+        controls: int = 0,
         terminal_cost: Traceable | None = None,
         control_bounds: tuple[Limit, Limit] | None = None,
         position_bounds: tuple[Limit, Limit] | None = None,
         path_constraint: tuple[Traceable, Limit, Limit] | None = None,
         duration_bounds: tuple[Limit, Limit] | None = None,
-        parameters: Sequence[float] | None = None,
+        parameters: Values | None = None,
         parameter_bounds: tuple[Limit, Limit] | None = None,
         rates: Traceable | None = None,
         end_conditions: tuple[Traceable, Limit, Limit] | None = None,
@@ -236,9 +248,13 @@ class ControlProblem(Problem):
         jumps: Sequence[tuple[float, Traceable]] = (),
         hold: bool = False,
         constraint: Traceable | None = None,
+        components: int | None = None,
     ) -> None:
-        if is_of_nothing(force):  # of a problem whose fields are replaced
-            lagrangian = force = None
+        if components is not None:
+            count = whole_number("components", components)
+            start = checked_components("start", [None] * count if start is None else start, count)
+        elif start is None:
+            raise TypeError("give start, or the number of components where all of it is free, got neither")
         self._state(locals())
 
     @property
@@ -273,6 +289,11 @@ class ControlProblem(Problem):
             satisfied = self.determined_constraints(k) & ~free
             ends.append((satisfied, (satisfied & (None not in v)) | (at_rest & all(rate == 0 for rate in v))))
         return ends
+
+    @property
+    def costs(self) -> bool:
+        """Whether a cost is stated."""
+        return bool(self.running_cost.nnz_out(0)) or self.terminal_cost is not None
 
     @property
     def mechanical(self) -> int:

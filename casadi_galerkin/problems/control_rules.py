@@ -11,6 +11,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.problems.bounds import FEASIBLE, Limited
+from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
 from casadi_galerkin.problems.expressions import (
     CONTROLS,
@@ -21,7 +22,7 @@ from casadi_galerkin.problems.expressions import (
     pattern,
     rows_that_depend,
 )
-from casadi_galerkin.problems.problem import ENDS, section_times
+from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, section_times
 
 
 def _beside_a_constraint(problem: Any) -> Iterator[str]:
@@ -60,12 +61,34 @@ def _unused(problem: Any) -> Iterator[str]:
     """A control or a free parameter that nothing depends on: its value would be arbitrary."""
     along = problem.along
     for i in sorted(set(range(problem.controls)).difference(*(entries_of(f, CONTROLS) for f in along))):
-        yield f"the control u[{i}] occurs in no force, cost or constraint"
+        yield f"the control u[{i}] occurs in no force, rate, cost or constraint"
     others = [function for _, function, _ in _of_velocities(problem)]
     users = [f for f in (*along, *others, problem.lagrangian, problem.constraint) if f is not None]
     for i in np.flatnonzero(np.less(*(problem.parameter_bounds or ((), ())))).tolist():
         if not any(i in entries_of(f, f.n_in() - 1) for f in users):
             yield f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint"
+
+
+def _determined(problem: Any) -> Iterator[str]:
+    """Without controls, conditions are too many, or too few for a path where there is no cost to choose one by."""
+    if problem.controls or problem.constraint is not None:
+        return
+    bounded = {"parameter": problem.parameter_bounds, "duration": problem.duration_bounds}
+    needed = {"2 for every component with an equation of motion": 2 * problem.mechanical}
+    needed["1 for every rate"] = problem.dimension - problem.mechanical
+    for name, sides in bounded.items():
+        needed[f"1 for every free {name}"] = int(np.count_nonzero(np.less(*sides or (1, 0))))
+    given = {name: sum(value is not None for value in getattr(problem, name)) for name in (*ENDS, *END_MOTIONS[:2])}
+    passed = [place[1:] if is_limited(place) else np.transpose(place) for _, place in problem.waypoints]
+    for name, sides in (("end_conditions", problem.end_conditions[1:]), *(("waypoints", sides) for sides in passed)):
+        given[name] = given.get(name, 0) + int(np.count_nonzero(np.equal(*sides)))
+    total, count = sum(needed.values()), sum(given.values())
+    if count > total or (count < total and not problem.costs):
+        reasons = " and ".join(reason for reason, number in needed.items() if number)
+        named = ", ".join(f"{number} by {name}" for name, number in given.items() if number) or "none"
+        advice = "leave out some" if count > total else "give more of them, or a cost that chooses among the paths"
+        wanted = f"without controls {counted(total, 'condition')} determine the path, {reasons}"
+        yield f"{wanted}; got {count}, {named}: {advice}"
 
 
 def _impulses(problem: Any) -> Iterator[str]:
@@ -196,6 +219,7 @@ def _guesses(problem: Any) -> Iterator[str]:
 
 
 RULES = (
+    _determined,
     _beside_a_constraint,
     _velocities_of_rates,
     _unused,

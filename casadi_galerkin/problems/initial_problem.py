@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.numbers import Values
 from casadi_galerkin.problems.callables import Traceable
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
@@ -24,7 +25,7 @@ from casadi_galerkin.problems.statements import (
 from casadi_galerkin.problems.velocities import velocities
 
 STATEMENTS = {
-    "position": whole_vector,
+    "start": whole_vector,
     "parameters": parameters,
     "lagrangian": lagrangian,
     "t_span": span,
@@ -43,13 +44,13 @@ class InitialProblem(Problem):
     ----------
     lagrangian : callable (t, x, v) or, with parameters, (t, x, v, p) -> scalar, as for `BoundaryProblem`
     t_span : (t_0, t_N), in the unit of time of the Lagrangian
-    position : d numbers, x(t_0)
+    start : d numbers, x(t_0); here and below a number is enough for one component
     momentum : d numbers, p(t_0) = ∂L/∂v; or
     velocity : d numbers, v(t_0)
     parameters : numbers passed to the callables as p; default none
     force : callable of the same arguments -> d generalized forces, that do the virtual work F·δx
         (Lagrange-d'Alembert); default none
-    constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic); default none.  `position`
+    constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic); default none.  `start`
         fulfils it, and `velocity` is tangent to it; of `momentum` the tangent part counts
 
     Raises
@@ -59,13 +60,13 @@ class InitialProblem(Problem):
 
     Examples
     --------
-    >>> InitialProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), [1.0], velocity=[0.0]).dimension
+    >>> InitialProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=1.0, velocity=0.0).dimension
     1
     """
 
     lagrangian: ca.Function
     t_span: tuple[float, float]
-    position: tuple[float, ...]
+    start: tuple[float, ...]
     momentum: tuple[float, ...] | None
     velocity: tuple[float, ...] | None
     parameters: tuple[float, ...] | None
@@ -79,17 +80,17 @@ class InitialProblem(Problem):
         self,
         lagrangian: Traceable,
         t_span: Sequence[float],
-        position: Sequence[float],
+        start: Values,
         *further: object,
-        momentum: Sequence[float] | None = None,
-        velocity: Sequence[float] | None = None,
-        parameters: Sequence[float] | None = None,
+        momentum: Values | None = None,
+        velocity: Values | None = None,
+        parameters: Values | None = None,
         force: Traceable | None = None,
         constraint: Traceable | None = None,
     ) -> None:
         if further:
             raise TypeError(
-                "InitialProblem takes lagrangian, t_span and position in this order, and all else by name, such as "
+                "InitialProblem takes lagrangian, t_span and start in this order, and all else by name, such as "
                 f"velocity=[1.0] or momentum=[1.0], got {further[0]!r} as a fourth argument"
             )
         if (momentum is None) == (velocity is None):
@@ -101,7 +102,7 @@ class InitialProblem(Problem):
         """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
         lagrangian = self.numeric.lagrangian
         legendre = legendre_transform(lagrangian)
-        x, start = np.array(self.position), self.t_span[0]
+        x, start = np.array(self.start), self.t_span[0]
         v, given = np.array(self.velocity or np.zeros(len(x))), self.momentum
         if given is not None:
             at = np.array([start]), x[:, None]
@@ -115,7 +116,7 @@ class InitialProblem(Problem):
                 f"no velocity was found that has the momentum {given} at the start, x = {x}; give the velocity"
             )
         if np.isnan(float(lagrangian(start, x, v))):
-            raise ValueError(f"the lagrangian is not a number at the start, x = {self.position}, v = {v.tolist()}")
+            raise ValueError(f"the lagrangian is not a number at the start, x = {self.start}, v = {v.tolist()}")
         return (momentum if given is None else p).ravel(), v
 
     def _check_values(self) -> None:

@@ -126,10 +126,10 @@ Stated = TypeVar("Stated", bound=Problem)
 
 
 def is_given(value: object) -> bool:
-    """Whether anything is given: not None, nor False, nor an empty Function, nor components that are all None."""
+    """Whether anything is given: not None, nor False, nor a Function `of_zeros`, nor components that are all None."""
     if isinstance(value, tuple):
         return any(map(is_given, value))
-    return value is not None and value is not False and not (isinstance(value, ca.Function) and not value.numel_out(0))
+    return value is not None and value is not False and not (isinstance(value, ca.Function) and not value.nnz_out(0))
 
 
 def section_times(problem: Problem) -> list[float]:

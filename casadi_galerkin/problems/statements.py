@@ -14,7 +14,7 @@ import casadi as ca
 
 from casadi_galerkin.calculus.numbers import components, finite, flag, numbers, time_span, times_inside
 from casadi_galerkin.problems.bounds import bounds, bounds_with_room
-from casadi_galerkin.problems.callables import Rows, arguments, is_of_nothing, of_nothing, trace, trace_lagrangian
+from casadi_galerkin.problems.callables import Rows, arguments, left_out, of_zeros, trace, trace_lagrangian
 
 Made: TypeAlias = dict[str, Any]  # what was read, by name
 Reader: TypeAlias = Callable[[str, Any, Made], Any]
@@ -37,8 +37,8 @@ def check(problem: object, rules: Iterable[Rule]) -> None:
 
 
 def dimension(made: Made) -> int:
-    """Number d of coordinates, which the first position read tells."""
-    return len(made["position"] if "position" in made else made["start"])
+    """Number d of coordinates, which the start tells."""
+    return len(made["start"])
 
 
 def optional(reader: Reader) -> Reader:
@@ -114,8 +114,8 @@ def limited(names: str) -> Reader:
     def reader(name: str, value: Any, made: Made) -> Any:
         if value is not None and (not isinstance(value, (tuple, list)) or len(value) != 3):
             raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {value!r}")
-        if value is None or is_of_nothing(value[0]):
-            return of_nothing(name, lengths(names, made)), (), ()
+        if value is None or left_out(value[0]):
+            return of_zeros(name, lengths(names, made), 0), (), ()
         traced = trace(name, value[0], lengths(names, made), "any")
         return (traced, *bounds(name, (value[1], value[2]), traced.numel_out(0)))
 

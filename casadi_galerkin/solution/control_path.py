@@ -70,12 +70,14 @@ class ControlPath:
 
     def at(self, s: np.ndarray) -> np.ndarray:
         """Controls at fractions s (K,) of every interval, by its own polynomial, joints included; (n, N K)."""
-        return (self._local @ lagrange_values(self.points, s).T).reshape(len(self.values), -1)
+        return (self._local @ lagrange_values(self.points, s).T).reshape(
+            len(self.values), (len(self.mesh) - 1) * len(s)
+        )
 
     @property
     def _local(self) -> np.ndarray:
         """Values at the points of every interval, (n, N, k)."""
-        return self.values.reshape(len(self.values), -1, len(self.points))
+        return self.values.reshape(len(self.values), len(self.mesh) - 1, len(self.points))
 
     @property
     def _changes(self) -> np.ndarray:

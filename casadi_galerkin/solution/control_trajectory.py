@@ -124,7 +124,7 @@ class ControlTrajectory(Trajectory):
     >>> path = cg.solve(move, cg.Galerkin(degree=3), intervals=4)
     >>> round(path.cost, 6), path.control([0.0, 1.0]).round(6).tolist()
     (6.0, [[6.0, -6.0]])
-    >>> start = {"position": path.x[:, 0], "velocity": path.start_velocity}
+    >>> start = {"start": path.x[:, 0], "velocity": path.start_velocity}
     >>> again = cg.InitialProblem(move.lagrangian, move.t_span, force=path.replay(), **start)
     >>> cg.solve(again, path.method, mesh=path.t).x[0, -1].round(9).tolist()
     1.0
@@ -332,14 +332,16 @@ class ControlTrajectory(Trajectory):
         """
         if axes is not None:
             return super().plot(axes, labels, time)
-        limited = self.path_multipliers is not None
-        drawn = panels(3 + limited, size=(FIGURE_SIZE[0], (1.6 + 0.5 * limited) * FIGURE_SIZE[1]), sharex=True)
+        controlled, limited = bool(len(self.control.values)), self.path_multipliers is not None
+        count = 2 + controlled + limited
+        drawn = panels(count, size=(FIGURE_SIZE[0], (0.1 + 0.5 * count) * FIGURE_SIZE[1]), sharex=True)
         top = drawn[0]
         super().plot(top, labels, "")
         draw_bounds(top, np.array(self.problem.position_bounds))
-        self.plot_controls(drawn[1], control_labels, "")
+        if controlled:
+            self.plot_controls(drawn[1], control_labels, "")
         if limited:
-            self.plot_constraints(drawn[2], time="")
+            self.plot_constraints(drawn[-2], time="")
         line, at_joints = self.costate.line(self.fine_times), (self.t, self.costate(self.t))
         plot_path(line, at_joints, drawn[-1], costate_labels, time, "λ")
         for panel in drawn:
@@ -394,13 +396,17 @@ class ControlTrajectory(Trajectory):
 
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
-        size, n = counted(len(self.x), "component"), counted(len(self.control.values), "control")
+        size, n = counted(len(self.x), "component"), len(self.control.values)
+        controls = f" and {counted(n, 'control')}" if n else ""
+        optimum = [
+            f"  cost        {self.cost:.12g}, {self._kind()}",
+            f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, {self._variation()}",
+        ]
         return "\n".join(
             [
-                f"ControlTrajectory of {size} and {n} on {spanned(self.t)}, {counted(len(self.t) - 1, 'interval')}",
+                f"ControlTrajectory of {size}{controls} on {spanned(self.t)}, {counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
-                f"  cost        {self.cost:.12g}, {self._kind()}",
-                f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, {self._variation()}",
+                *(optimum if n or self.problem.costs else []),
                 *self._asked(),
                 *self._accuracy(),
                 *self._between_points(),
@@ -425,7 +431,7 @@ class ControlTrajectory(Trajectory):
 
     def _accuracy(self) -> list[str]:
         """A line on the errors of cost and path, if they are known, or that this mesh does not resolve the path."""
-        known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
+        known = [(self.cost_error if self.problem.costs else None, "of the cost"), (self.error_estimate, "of the path")]
         errors = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
         if errors:
             return [f"  error       {errors}, estimated"]

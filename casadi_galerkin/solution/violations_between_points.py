@@ -96,7 +96,7 @@ class BetweenPoints:
         width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
         u = self.control.at(sampling_parts(len(self.path.method.quadrature)))
         excess = bound_excess(u, low, high) / width[:, None]
-        return excess.max(axis=0).reshape(len(self.path.t) - 1, -1).max(axis=1)
+        return excess.max(axis=0, initial=0.0).reshape(len(self.path.t) - 1, -1).max(axis=1)
 
     @property
     def constraint_excess(self) -> np.ndarray:

@@ -35,7 +35,7 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     began = time.perf_counter()
     p, v = problem.start_state
     stepper = Stepper(problem, method)
-    roll = verified(stepper.roll(np.array(problem.position), p, v, mesh), stepper)
+    roll = verified(stepper.roll(np.array(problem.start), p, v, mesh), stepper)
     build = stepper.build_seconds
     seconds = time.perf_counter() - began - build
     path = trajectory(problem, stepper, roll, int(roll.iterations.sum()), "step by step", build, seconds)

@@ -128,7 +128,7 @@ def _cells(problem: AnyProblem, ways: list[Row], guess: Guess | None, measure: M
 
 def _unknowns(problem: AnyProblem, path: Trajectory) -> int:
     """Node values and controls that were solved for."""
-    ends = [getattr(problem, name, None) or () for name in ("start", "end", "position")]
+    ends = [getattr(problem, name, None) or () for name in ("start", "end")]
     fixed = sum(value is not None for end in ends for value in end)
     periodic = path.x.shape[0] if getattr(problem, "periodic", False) else 0
     controls = path.control.values.size if hasattr(path, "control") else 0

@@ -193,7 +193,7 @@ def robot_arm():
 def regulator():
     """Double integrator, ∫ (x² + u²)/2 over [0, 10] from 1 with a free end: its Riccati equation gives the cost."""
     problem = mass(
-        t_span=(0.0, 10.0), start=[1.0], end=[None], end_velocity=[None],
+        t_span=(0.0, 10.0), start=1.0, end=None, end_velocity=None,
         running_cost=lambda t, x, v, u: (x[0] ** 2 + u[0] ** 2) / 2,
     )  # fmt: skip
     return Case(problem, np.nan, riccati())
@@ -202,7 +202,7 @@ def regulator():
 def van_der_pol():
     """PROPT's van der Pol oscillator: u within [-0.3, 1]."""
     problem = mass(
-        t_span=(0.0, 5.0), start=[1.0], end=[None], end_velocity=[None],
+        t_span=(0.0, 5.0), start=1.0, end=None, end_velocity=None,
         lagrangian=lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2,
         force=lambda t, x, v, u: (1 - x[0] ** 2) * v[0] + u[0],
         running_cost=lambda t, x, v, u: x[0] ** 2 + v[0] ** 2 + u[0] ** 2,
@@ -214,13 +214,14 @@ def van_der_pol():
 def zermelo():
     """Zermelo's ship in a current that grows with the distance from the shore, Bryson and Ho (1975), section 2.7."""
     problem = cg.ControlProblem(
-        None, (0.0, 5.0), [3.66, -1.86], [0.0, 0.0], [None] * 2, [None] * 2,
-        force=None,
+        t_span=(0.0, 5.0),
+        start=[3.66, -1.86],
+        end=[0.0, 0.0],
         running_cost=shortest,
         controls=1,
         duration_bounds=(0.1, 100.0),
         rates=lambda t, x, v, u: [ca.cos(u[0]) - x[1], ca.sin(u[0])],
-    )  # fmt: skip
+    )
     return Case(problem, 5.46, crossing())
 
 
@@ -258,41 +259,46 @@ def crane():
 def brachistochrone(friction=0.3):
     """Sliding down with friction, N. Ashby et al., American Journal of Physics 43 (1975)."""
     problem = cg.ControlProblem(
-        None, (0.0, 1.0), [0.0, 0.0, 0.0], [2.0, 2.0, None], [None] * 3, [None] * 3,
-        force=None,
+        t_span=(0.0, 1.0),
+        start=[0.0, 0.0, 0.0],
+        end=[2.0, 2.0, None],
         running_cost=shortest,
         controls=1,
         duration_bounds=(0.1, 10.0),
         rates=lambda t, x, v, u: [
-            x[2] * ca.sin(u[0]), x[2] * ca.cos(u[0]), 9.81 * (ca.cos(u[0]) - friction * ca.sin(u[0]))
+            x[2] * ca.sin(u[0]),
+            x[2] * ca.cos(u[0]),
+            9.81 * (ca.cos(u[0]) - friction * ca.sin(u[0])),
         ],
-    )  # fmt: skip
+    )
     return Case(problem, np.nan, cycloid(friction))
 
 
 def dubins():
     """The shortest way of a car that turns left, runs straight and turns left, L. E. Dubins (1957)."""
     problem = cg.ControlProblem(
-        None, (0.0, 6.0), [0.0, 0.0, 0.0], [4.0, 4.0, np.pi], [None] * 3, [None] * 3,
-        force=None,
+        t_span=(0.0, 6.0),
+        start=[0.0, 0.0, 0.0],
+        end=[4.0, 4.0, np.pi],
         running_cost=shortest,
         controls=1,
         control_bounds=(-1.0, 1.0),
         duration_bounds=(0.1, 50.0),
         rates=lambda t, x, v, u: [ca.cos(x[2]), ca.sin(x[2]), u[0]],
-    )  # fmt: skip
+    )
     return Case(problem, np.nan, np.pi + np.sqrt(20))
 
 
 def chain():
     """The hanging chain of COPS 3 (2004): its slope is the control."""
     problem = cg.ControlProblem(
-        None, (0.0, 1.0), [1.0, 0.0], [3.0, 4.0], [None] * 2, [None] * 2,
-        force=None,
+        t_span=(0.0, 1.0),
+        start=[1.0, 0.0],
+        end=[3.0, 4.0],
         running_cost=lambda t, x, v, u: x[0] * ca.sqrt(1 + u[0] ** 2),
         controls=1,
         rates=lambda t, x, v, u: [u[0], ca.sqrt(1 + u[0] ** 2)],
-    )  # fmt: skip
+    )
     return Case(problem, 5.06891, catenary())
 
 
@@ -310,7 +316,6 @@ def hang_glider():
         lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2 - 9.81 * x[1],
         (0.0, 100.0), [0.0, 1000.0], [None, 900.0], [13.23, -1.288], [13.23, -1.288],
         force=force,
-        running_cost=lambda t, x, v, u: 0,
         controls=1,
         terminal_cost=lambda t, x, v: -x[0],
         control_bounds=(0.0, 1.4),
@@ -330,7 +335,6 @@ def orbit_raising():
         lambda t, x, v: (v[0] ** 2 + (x[0] * v[1]) ** 2) / 2 + 1 / x[0],
         (0.0, 3.3207), [1.0, 0.0], [None, None], [0.0, 1.0], [0.0, None],
         force=force,
-        running_cost=lambda t, x, v, u: 0,
         controls=1,
         terminal_cost=lambda t, x, v: -x[0],
         position_bounds=([0.5, -INF], INF),
@@ -361,17 +365,16 @@ def shuttle():
         ]
 
     problem = cg.ControlProblem(
-        None, (0.0, 200.0), [2.6, 0.0, 0.0, 2.56, -degree, np.pi / 2], [0.8, None, None, 0.25, -5 * degree, None],
-        [None] * 6, [None] * 6,
-        force=None,
-        running_cost=lambda t, x, v, u: 0,
+        t_span=(0.0, 200.0),
+        start=[2.6, 0.0, 0.0, 2.56, -degree, np.pi / 2],
+        end=[0.8, None, None, 0.25, -5 * degree, None],
         controls=2,
         terminal_cost=lambda t, x, v: -x[2] / degree,
         control_bounds=([-np.pi / 2, -89 * degree], [np.pi / 2, degree]),
         position_bounds=([0, -INF, -89 * degree, 1e-4, -89 * degree, -INF], [4, INF, 89 * degree, 4, 89 * degree, INF]),
         duration_bounds=(50.0, 400.0),
         rates=rates,
-    )  # fmt: skip
+    )
     return Case(problem, -34.1412, -34.141184285)
 
 

@@ -72,7 +72,7 @@ def test_a_tolerance_is_met_and_the_force_replayed_on_the_constraint():
     path = cg.solve(cartesian_pendulum(), tol=1e-7, guess=guess)
     assert abs(path.cost / EXACT - 1) <= path.error_estimate <= 1e-7
     problem = cartesian_pendulum()
-    start = {"position": [0.0, -1.0], "velocity": [0.0, 0.0]}
+    start = {"start": [0.0, -1.0], "velocity": [0.0, 0.0]}
     again = cg.InitialProblem(
         problem.lagrangian, problem.t_span, force=path.replay(), constraint=problem.constraint, **start
     )

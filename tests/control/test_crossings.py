@@ -76,7 +76,7 @@ def test_a_bounce_at_a_free_time_keeps_the_hamiltonian(solver):
 
 def lagging(**stated):
     """A position that follows its control with a lag, x' = u - x."""
-    first_order = {"lagrangian": None, "force": None, "start_velocity": [None], "end_velocity": [None]}
+    first_order = dict.fromkeys(("lagrangian", "force", "start_velocity", "end_velocity"))
     return double_integrator(rates=lambda t, x, v, u: u[0] - x[0], **first_order, **stated)
 
 

@@ -22,7 +22,7 @@ NOT_FINITE = {
     ),
     "rate": (
         {
-            **{"lagrangian": None, "force": None, "start_velocity": [None], "end_velocity": [None]},
+            **dict.fromkeys(("lagrangian", "force", "start_velocity", "end_velocity")),
             "rates": lambda t, x, v, u: u + ca.sqrt(0.5 - t),
         },
         "rates .* at t = 0.521",

@@ -224,9 +224,7 @@ def test_tolerance_of_the_cost_alone_bounds_its_error_with_less_work(name, tol):
 def test_a_mesh_for_the_cost_alone_does_not_resolve_a_singular_arc():
     """Two catalysts are mixed over twelve hours; a mesh for as small an error of the path has 500 intervals at once."""
     mixing = cg.ControlProblem(
-        None, (0.0, 12.0), [1.0, 0.0], [None, None], [None, None], [None, None],
-        force=None,
-        running_cost=lambda t, x, v, u: 0,
+        t_span=(0.0, 12.0), start=[1.0, 0.0],
         controls=1,
         terminal_cost=lambda t, x, v: x[0] + x[1] - 1,
         control_bounds=(0.0, 1.0),
@@ -295,7 +293,7 @@ FREE = {
         1.2, start=[1.0], end=[-0.5], end_velocity=[None], duration_bounds=(0.3, 6.0)
     ),
     "a fall": lambda: double_integrator(**COASTING),
-    "nothing counts": lambda: double_integrator(running_cost=lambda t, x, v, u: 0),
+    "nothing counts": lambda: double_integrator(running_cost=None),
     "terms that cancel": lambda: double_integrator(running_cost=lambda t, x, v, u: u[0] ** 2 / 2 - 6),
 }
 

@@ -164,7 +164,7 @@ def test_a_pickled_path_still_tells():
 
 @pytest.mark.parametrize("intervals", [4, *slow(8, 12)])
 def test_without_a_cost_there_is_no_saddle(intervals):
-    assert cg.solve(pendulum(2.0, running_cost=lambda t, x, v, u: 0), METHOD, intervals).morse_index == 0
+    assert cg.solve(pendulum(2.0, running_cost=None), METHOD, intervals).morse_index == 0
 
 
 @pytest.mark.parametrize("added", [1e-9, *slow(0.0, 1e-12, 1e-3)])
@@ -194,7 +194,7 @@ def test_controls_near_their_bounds_beside_a_switch_make_no_saddle(duration, cos
         start_velocity=[None, None],
         end_velocity=[None, None],
         rates=rates,
-        running_cost=lambda t, x, v, u: 0,
+        running_cost=None,
         terminal_cost=lambda t, x, v: x[0] + x[1] - 1,
         control_bounds=(0.0, 1.0),
     )

@@ -20,11 +20,8 @@ RULES = pytest.mark.parametrize("rule", [cg.gauss, cg.radau, lambda m: cg.lobatt
 def first_order(**changes):
     """x' = u - x from 0 to 1 in unit time, least ∫u²/2: u = e^t/sinh(1), cost 1/(1 - e^-2)."""
     fields = {
-        "lagrangian": None,
-        "force": None,
+        **dict.fromkeys(("lagrangian", "force", "start_velocity", "end_velocity")),
         "rates": lambda t, x, v, u: u[0] - x[0],
-        "start_velocity": [None],
-        "end_velocity": [None],
     }
     return double_integrator(**(fields | changes))
 
@@ -236,7 +233,7 @@ def test_held_controls_have_the_least_cost_of_their_kind(count, solver):
     assert path.cost == pytest.approx(held_cost(count), rel=1e-10)
     assert path.control.values.shape == (1, count)
     np.testing.assert_array_equal(path.control(path.t[:-1]), path.control.values)
-    start = {"position": path.x[:, 0], "velocity": path.start_velocity}
+    start = {"start": path.x[:, 0], "velocity": path.start_velocity}
     again = cg.InitialProblem(path.problem.lagrangian, (0, 1), force=path.replay(), **start)
     np.testing.assert_allclose(cg.solve(again, path.method, mesh=path.t).x, path.x, rtol=0, atol=1e-11)
 

@@ -279,11 +279,11 @@ ODD = {  # problem, degree, intervals, exact cost
         10,
         6.0,
     ),
-    "cost of nothing": (lambda: double_integrator(running_cost=lambda t, x, v, u: 0), 3, 10, 0.0),
+    "cost of nothing": (lambda: double_integrator(running_cost=None), 3, 10, 0.0),
     "cost of time only": (lambda: double_integrator(running_cost=lambda t, x, v, u: t), 3, 10, 0.5),
     "cost at the end only": (
         lambda: double_integrator(
-            running_cost=lambda t, x, v, u: 0,
+            running_cost=None,
             terminal_cost=lambda t, x, v: (x[0] - 2) ** 2,
             end=[None],
             end_velocity=[None],

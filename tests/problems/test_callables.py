@@ -150,7 +150,7 @@ def test_forces_may_be_an_array(force):
 
 
 def test_an_array_of_symbols_is_a_force_and_a_number_is_none_of_two():
-    given = {"lagrangian": lambda t, x, v: ca.sumsqr(v), "t_span": (0, 1), "position": [0, 0], "velocity": [0, 0]}
+    given = {"lagrangian": lambda t, x, v: ca.sumsqr(v), "t_span": (0, 1), "start": [0, 0], "velocity": [0, 0]}
     assert cg.InitialProblem(**given, force=lambda t, x, v: np.array([v[1], 0])).force.numel_out(0) == 2
     with pytest.raises(TypeError, match="force must return one CasADi expression per component, got array"):
         cg.InitialProblem(**given, force=lambda t, x, v: np.array(1.0))

@@ -22,7 +22,10 @@ BADLY_STATED = {
     ),
     "half a control": ({"controls": 1.0}, TypeError, "controls must be a whole number, got 1.0"),
     "start as a table": ({"start": {"x": 0}}, TypeError, "start must be a sequence of numbers.* got {'x': 0}"),
-    "no end": ({"end": None}, TypeError, "end must be a sequence of numbers, got None"),
+    "no start": ({"start": None}, TypeError, "give start, or the number of components where all of it is free"),
+    "another number of components": ({"components": 2}, ValueError, "start must have 2 components, got 1"),
+    "half a component": ({"components": 0.5}, TypeError, "components must be a whole number, got 0.5"),
+    "no time": ({"t_span": None}, TypeError, "t_span must be a sequence of numbers, got None"),
     "cost of parameters": (
         {"running_cost": lambda t, x, v, u, p: u**2},
         TypeError,
@@ -71,12 +74,13 @@ BADLY_STATED = {
     "no duration": ({"t_span": (1, 1)}, ValueError, "t_span must increase"),
     "duration bound of zero": ({"duration_bounds": (0, 2)}, ValueError, "duration_bounds must be positive"),
     "duration guess outside": ({"duration_bounds": (2, 3)}, ValueError, "must hold the guess, t_span lasts 1.0"),
-    "no controls": ({"controls": 0}, ValueError, "controls must be at least 1, got 0"),
+    "controls below none": ({"controls": -1}, ValueError, "controls must be at least 0, got -1"),
+    "u without controls": ({"controls": 0}, TypeError, r"force is called as force\(t, x, v\)"),
     "controls by name": ({"controls": "u"}, TypeError, "controls must be a whole number, got .u."),
     "unused control": (
         {"controls": 2, "force": lambda t, x, v, u: u[0]},
         ValueError,
-        r"u\[1\] occurs in no force, cost or constraint",
+        r"u\[1\] occurs in no force, rate, cost or constraint",
     ),
     "too many forces": (
         {"force": lambda t, x, v, u: [u[0], 0]},
@@ -100,10 +104,24 @@ BADLY_STATED = {
     "mechanics of rates": (
         {"rates": lambda t, x, v, u: u},
         ValueError,
-        "all components follow rates: lagrangian must be None, got",
+        "all components follow rates: leave out lagrangian, got",
     ),
-    "no lagrangian": ({"lagrangian": None}, ValueError, r"lagrangian is None, but 1 component without rates must move"),
-    "no force": ({"force": None}, ValueError, r"force is None, but 1 component without rates must move"),
+    "no lagrangian": (
+        {"lagrangian": None, "force": None},
+        ValueError,
+        r"nothing moves x\[0\]: give a lagrangian, or rates of all 1 component, got 0",
+    ),
+    "force without a lagrangian": (
+        {"lagrangian": None, "rates": lambda t, x, v, u: u},
+        ValueError,
+        "all components follow rates: leave out force, got",
+    ),
+    "a component that nothing moves": (
+        {"start": [0.0] * 3, "end": [1.0] * 3, "start_velocity": None, "end_velocity": None}
+        | {"force": lambda t, x, v, u: [u, 0], "rates": lambda t, x, v, u: u},
+        ValueError,
+        r"the lagrangian ignores v\[1\]: .* nor is its rate among the rates, which are those of the last components",
+    ),
     "condition alone": (
         {"end_conditions": lambda x0, v0, x1, v1: x1},
         TypeError,
@@ -160,7 +178,7 @@ UNLIMITED = {
     "least time": {"running_cost": lambda t, x, v, u: 1, "duration_bounds": (0.1, 10)},
     "a cost of positions": {"running_cost": lambda t, x, v, u: x[0] ** 2},
     "a cost of velocities, between rests": {"running_cost": lambda t, x, v, u: v[0] ** 2},
-    "a cost of the end": {"running_cost": lambda t, x, v, u: 0, "terminal_cost": lambda t, x, v: (x[0] - 2) ** 2},
+    "a cost of the end": {"running_cost": None, "terminal_cost": lambda t, x, v: (x[0] - 2) ** 2},
     "a limit of the speed": {
         "running_cost": lambda t, x, v, u: 1,
         "duration_bounds": (0.1, 10),
@@ -380,3 +398,73 @@ def test_a_given_end_keeps_to_a_path_constraint_in_small_units():
     ):
         double_integrator(end=[1e-9], path_constraint=(lambda t, x, v, u: x[0], 0, 0.5e-9))
     assert double_integrator(start=[-1e-10], path_constraint=(lambda t, x, v, u: x[0], 0, 1)).start == (-1e-10,)
+
+
+def test_a_problem_of_first_order_is_stated_by_keywords_alone():
+    short = cg.ControlProblem(
+        rates=lambda t, x, v, u: u - x,
+        t_span=(0, 1),
+        start=1.0,
+        controls=1,
+        running_cost=lambda t, x, v, u: x**2 + u**2,
+    )
+    assert (short.dimension, short.mechanical, short.end, short.start_velocity) == (1, 0, (None,), (None,))
+    assert repr(short) == "ControlProblem of 1 component on (0.0, 1.0): start (1.0,), controls 1, rates, running_cost"
+    assert repr(replace(short, end=2.0)).startswith("ControlProblem of 1 component on (0.0, 1.0): start (1.0,),")
+
+
+def test_components_are_counted_where_the_start_is_free():
+    free = cg.ControlProblem(
+        rates=lambda t, x, v, u: [x[1], u],
+        t_span=(0, 1),
+        components=2,
+        controls=1,
+        running_cost=lambda t, x, v, u: ca.sumsqr(x - t) + u**2,
+    )
+    assert free.start == free.end == (None, None)
+
+
+CONDITIONS = {
+    "too few": (
+        {"start": [0.0, None]},
+        r"2 conditions determine the path, 1 for every rate; got 1, 1 by start: give more of them, or a cost",
+    ),
+    "none": ({"start": None, "components": 2}, "determine the path, 1 for every rate; got 0, none: give more"),
+    "too many": ({"start": [0.0, 0.0], "end": [0.0, None]}, "got 3, 2 by start, 1 by end: leave out some"),
+    "too many in all": (
+        {"start": [0.0, None], "end": [0.0, None], "end_conditions": (lambda x0, v0, x1, v1: x0[1], 1, 1)},
+        "got 3, 1 by start, 1 by end, 1 by end_conditions: leave out some",
+    ),
+    "a waypoint too many": (
+        {"start": [0.0, 0.0], "waypoints": [(0.5, [1.0, None])]},
+        "got 3, 2 by start, 1 by waypoints: leave out some",
+    ),
+    "one less than a parameter needs": (
+        {"start": [0.0, 0.0], "parameters": 1.0, "parameter_bounds": (0, 2), "rates": lambda t, x, v, p: [x[1], p]},
+        "3 conditions determine the path, 1 for every rate and 1 for every free parameter; got 2, 2 by start",
+    ),
+    "mechanics": (
+        {"lagrangian": lambda t, x, v: v[0] ** 2, "rates": lambda t, x, v: x[0], "start": [0.0, 0.0]},
+        "3 conditions determine the path, 2 for every component with an equation of motion and 1 for every rate; got 2",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CONDITIONS)
+def test_conditions_without_controls_are_counted(name):
+    changes, message = CONDITIONS[name]
+    stated = {"rates": lambda t, x, v: [x[1], -ca.exp(x[0])], "t_span": (0, 1), **changes}
+    with pytest.raises(ValueError, match=message):
+        cg.ControlProblem(**stated)
+
+
+def test_without_controls_a_cost_may_choose_what_conditions_leave_free():
+    fit = cg.ControlProblem(
+        rates=lambda t, x, v, p: -p * x,
+        t_span=(0, 1),
+        start=1.0,
+        parameters=1.0,
+        parameter_bounds=(0, 5),
+        terminal_cost=lambda t, x, v, p: (x - 0.2) ** 2,
+    )
+    assert fit.controls == 0

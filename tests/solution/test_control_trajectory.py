@@ -85,7 +85,7 @@ def test_replayed_force_is_that_of_the_controls():
 def replayed(path):
     """Largest differences of positions and momenta at the joints from the same method stepped under its controls."""
     found = path.problem
-    start = {"position": path.x[:, 0], "velocity": path.start_velocity, "parameters": found.parameters}
+    start = {"start": path.x[:, 0], "velocity": path.start_velocity, "parameters": found.parameters}
     again = cg.InitialProblem(found.lagrangian, found.t_span, force=path.replay(), **start)
     stepped = cg.solve(again, path.method, mesh=path.t)
     return np.max(np.abs(stepped.x - path.x)), np.max(np.abs(stepped.momentum - path.momentum))

@@ -22,10 +22,7 @@ JUMPING = {
     "potential": {"lagrangian": lambda t, x, v: v[0] ** 2 / 2 - step(t, 0, 5) * x[0]},
     "mass": {"lagrangian": lambda t, x, v: step(t, 1, 3) * v[0] ** 2 / 2},
     "rates": {
-        "lagrangian": None,
-        "force": None,
-        "start_velocity": [None],
-        "end_velocity": [None],
+        **dict.fromkeys(("lagrangian", "force", "start_velocity", "end_velocity")),
         "rates": lambda t, x, v, u: step(t, 1, 3) * u + x,
     },
 }

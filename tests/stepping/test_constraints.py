@@ -22,7 +22,7 @@ def motions(name, duration, **changes):
     (angular, cartesian, place, constraint), (angles, rates) = MECHANISMS[name], STARTS[name]
     step = 1e-30  # complex steps have no cancellation
     turned = place(np.array(angles) + 1j * step * np.array(rates))
-    cartesian_start = {"position": turned.real, "velocity": turned.imag / step}
+    cartesian_start = {"start": turned.real, "velocity": turned.imag / step}
     return (
         cg.InitialProblem(angular, (0, duration), angles, velocity=rates),
         cg.InitialProblem(cartesian, (0, duration), constraint=constraint, **cartesian_start, **changes),
@@ -52,7 +52,7 @@ def test_constraint_and_tangent_velocity_hold_whatever_the_degree(name, degree):
 @pytest.fixture(scope="module")
 def finely_stepped():
     """A problem and its path."""
-    start = {"position": on_circle(0.2), "velocity": 1.2 * np.array([np.cos(0.2), np.sin(0.2)])}
+    start = {"start": on_circle(0.2), "velocity": 1.2 * np.array([np.cos(0.2), np.sin(0.2)])}
     problem = cg.InitialProblem(uneven, (0, 3), constraint=unit_length, **start)
     return problem, cg.solve(problem, cg.Galerkin(10), intervals=60)
 
@@ -185,8 +185,8 @@ def test_a_velocity_is_tangent_up_to_rounding(position, velocity, unit):
     ("changes", "message"),
     [
         (
-            {"position": [0.0, -2.0]},
-            r"the constraint must be zero at the given position, x = \[0.0, -2.0\]: constraint\[0\] is 3",
+            {"start": [0.0, -2.0]},
+            r"the constraint must be zero at the given start, x = \[0.0, -2.0\]: constraint\[0\] is 3",
         ),
         (
             {"velocity": [0.7, 0.1]},
@@ -199,7 +199,7 @@ def test_a_velocity_is_tangent_up_to_rounding(position, velocity, unit):
     ],
 )
 def test_a_start_off_the_constraint_is_refused(changes, message):
-    stated = {"position": [0.0, -1.0], "velocity": [0.7, 0.0], "constraint": unit_length} | changes
+    stated = {"start": [0.0, -1.0], "velocity": [0.7, 0.0], "constraint": unit_length} | changes
     with pytest.raises(ValueError, match=message):
         cg.solve(cg.InitialProblem(planar, (0, 1), **stated), cg.Galerkin(3), intervals=4)
 

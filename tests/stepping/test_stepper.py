@@ -67,7 +67,7 @@ def test_jacobian_of_a_step_is_its_derivative(scene):
 )
 def test_any_number_of_steps_is_the_same_as_one_after_the_other(intervals):
     mesh = np.cumsum(np.append(0, np.linspace(0.02, 0.06, intervals)))
-    start = {"position": [2.0], "momentum": [0.3]}
+    start = {"start": [2.0], "momentum": [0.3]}
     whole = cg.solve(cg.InitialProblem(pendulum, (0, mesh[-1]), **start), cg.Galerkin(3), mesh=mesh)
     half = (intervals + 1) // 2
     first = cg.solve(cg.InitialProblem(pendulum, (0, mesh[half]), **start), cg.Galerkin(3), mesh=mesh[: half + 1])
