@@ -82,7 +82,7 @@ if __name__ == "__main__":
     print(between)
     print(f"  duration    {between.t[-1]:.12f}, exact 2")
     moved = cg.solve(problem(), tol=1e-6, intervals=11)
-    print(f"to 1e-6 from there: duration {moved.t[-1]:.9f}, largest overshoot {moved.control_overshoot.max():.1e}")
+    print(f"to 1e-6 from there: duration {moved.t[-1]:.9f}, largest misfit {moved.control_misfit.max():.1e}")
     soft = cg.solve(buffered(), cg.Galerkin(degree=2), intervals=12)  # the brake begins after 2/3 of the time
     print(f"with a buffer: duration {soft.t[-1]:.12f}, exact {1.5 * FULL_THRUST:.12f}", end="; ")
     print(f"speed at the end {soft.end_velocity[0]:.12f}, exact {FULL_THRUST / 2:.12f}")

@@ -240,7 +240,7 @@ class ControlTranscription:
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
         breakpoints = tuple(joints[chain.breaks].tolist())
         found = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
-        control = self._over_time(joints, chain.control_times, values["controls"])
+        control = self._over_time(joints, chain.control_times, values["controls"], problem.control_bounds)
         off = off_constraint(found, path)
         if off is not None:
             raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
@@ -350,10 +350,10 @@ class ControlTranscription:
         values = multipliers[self.chain.rows["path"]] / times[:, :, None]
         return self._over_time(joints, self.method.element.points, values)
 
-    def _over_time(self, joints: np.ndarray, points: np.ndarray, values: np.ndarray) -> ControlPath:
-        """Values (N, points, n) as functions of time."""
+    def _over_time(self, joints: np.ndarray, points: np.ndarray, values: np.ndarray, *bounds: ArrayLike) -> ControlPath:
+        """Values (N, points, n) as functions of time, within bounds where some are given."""
         rule = self.method.element.points
-        return ControlPath(joints, points, np.concatenate(values).T, rule)
+        return ControlPath(joints, points, np.concatenate(values).T, rule, *bounds)
 
     def __repr__(self) -> str:
         """Say what was built."""

@@ -133,16 +133,13 @@ def refuse_not_finite(
 def undefined(
     problem: ControlProblem, path: PiecewisePolynomial, control: ControlPath, parameters: tuple[float, ...] | None
 ) -> str | None:
-    """Say where a callable is not finite along a path, between its nodes, with the path and its controls in bounds."""
+    """Say where a callable is not finite along a path, between its nodes, with the path in its bounds."""
     if not _may_be_undefined(*_along(problem).values()):
         return None
     parts = sampling_parts(path.degree)[1:-1]
     t, x, v = path.sampled(parts)
-    x, u = (
-        np.clip(values, *(np.reshape(side, (-1, 1)) for side in bounds))
-        for values, bounds in ((x, problem.position_bounds), (control.at(parts), problem.control_bounds))
-    )
-    found = _undefined_at(problem, t, x, v, u, () if parameters is None else (parameters,))
+    x = np.clip(x, *(np.reshape(side, (-1, 1)) for side in problem.position_bounds))
+    found = _undefined_at(problem, t, x, v, control.at(parts), () if parameters is None else (parameters,))
     if found is None:
         return None
     name, k, value, _ = found

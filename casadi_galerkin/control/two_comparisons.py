@@ -107,14 +107,18 @@ class TwoComparisons:
 
     @property
     def unseen(self) -> float:
-        """Relative error that all three paths may have in common, that of a step that no derivative shows included."""
-        return max(self._unseen, self.step_in_place)
+        """Relative error that all three paths may have in common, with that of a step that no derivative shows.
+
+        It is that of a flight with `control(t)` as well.
+        """
+        return max(self._unseen, self.step_in_place, self.path.between_points.flight_error)
 
     @cached_property
     def _unseen(self) -> float:
         path, between = self.path, self.path.between_points
         rounding = 0.0 if path.problem.autonomous else EPS * np.max(np.abs(path.t)) / np.ptp(path.t)
-        return float(max(np.max(between.common_excess), self.of_cost(np.sum(between.jump_effects)), rounding))
+        of_cost = self.of_cost(np.sum(between.jump_effects)), self.of_cost(between.missed_cost)
+        return float(max(np.max(between.constraint_excess), *of_cost, rounding))
 
     @cached_property
     def step_in_place(self) -> float:
@@ -155,7 +159,8 @@ class TwoComparisons:
         errors, smooth = beyond_degree(self.better)
         errors *= self.change / max(np.max(errors), TINY)
         parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
-        parts = np.maximum(parts, parts_wanted(between.common_excess, KINK_ORDER, tol))
+        parts = np.maximum(parts, parts_wanted(between.constraint_excess, KINK_ORDER, tol))
+        parts = np.maximum(parts, parts_wanted(between.control_misfit, KINK_ORDER, tol))
         parts = np.maximum(parts, parts_wanted(self.of_cost(1.0) * between.jump_effects, 1, tol))
         cumulated = np.append(0.0, np.cumsum(np.clip(parts, least, MOST_PARTS)))
         counts = np.diff(np.interp([mesh[0], *fixed, mesh[-1]], mesh, cumulated))

@@ -1,4 +1,8 @@
-"""Controls as functions of time: polynomials between quadrature points, in numbers and as a CasADi expression."""
+"""Controls as functions of time: polynomials between quadrature points, cut at their bounds.
+
+They are one function of time, in numbers and as a CasADi expression: what is called, drawn, replayed and flown, and
+what estimates of errors measure.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +13,22 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import barycentric_weights, lagrange_values
 from casadi_galerkin.calculus.numbers import counted, read_only, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
 from casadi_galerkin.calculus.roundoff import EPS
 
+MIDPOINTS = (np.arange(200) + 0.5) / 200  # fractions of an interval at which the cut of a polynomial is seen
 SAME_TIME = 4 * EPS  # rounding of the joint t_i + h q with q = 1, relative to the largest time
 
 
 class ControlPath:
     """Controls, or multipliers of path constraints: on each interval the polynomial through values at the points.
+
+    Where it exceeds a bound it is cut there.  A multiple of Π (s - q)² over the points q, which is zero at these, gives
+    back what the cut takes from the mean: so the impulse of a switch inside the interval is kept, and a flight with
+    these controls arrives where the path does, to second order.
 
     They may jump at joints.  At a joint the value is that of the interval after it; where the rule has a point at 1 and
     none at 0 (Radau), it is that of the interval before.  So times at the quadrature points give the values there.  A
@@ -30,6 +40,7 @@ class ControlPath:
     points : (k,), points of the values in the reference interval: the quadrature points, or one for held controls
     values : (n, N k), controls at these points in the order of time
     rule : (r,), quadrature points of the reference interval
+    bounds : (lo, hi), n numbers each; multipliers have none
 
     Examples
     --------
@@ -43,8 +54,17 @@ class ControlPath:
     [[3.0, -6.0]]
     """
 
-    def __init__(self, mesh: np.ndarray, points: np.ndarray, values: np.ndarray, rule: np.ndarray) -> None:
-        self.mesh, self.points, self.values, self.rule = map(read_only, (mesh, points, values, rule))
+    def __init__(
+        self,
+        mesh: np.ndarray,
+        points: np.ndarray,
+        values: np.ndarray,
+        rule: np.ndarray,
+        bounds: ArrayLike = (-np.inf, np.inf),
+    ) -> None:
+        sides = np.stack([np.broadcast_to(side, len(values)) for side in np.asarray(bounds)])
+        arrays = mesh, points, values, rule, sides
+        self.mesh, self.points, self.values, self.rule, self.bounds = map(read_only, arrays)
 
     def __call__(self, t: ArrayLike) -> np.ndarray:
         """Controls at times t within the mesh; shape (n,) + t.shape."""
@@ -53,7 +73,9 @@ class ControlPath:
         steps = np.diff(self.mesh)
         i = np.searchsorted(self._changes, flat, side="right")
         basis = lagrange_values(self.points, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
-        return np.einsum("nkj,kj->nk", self._local[:, i], basis).reshape((len(self.values), *times.shape))
+        s = (flat - self.mesh[i]) / steps[i]
+        values = np.einsum("nkj,kj->nk", self._local[:, i], basis) + self._bumps[:, i] * self._bump(s)
+        return np.clip(values, *self.bounds[:, :, None]).reshape((len(self.values), *times.shape))
 
     def __repr__(self) -> str:
         """State the numbers of components, points and intervals."""
@@ -70,9 +92,30 @@ class ControlPath:
 
     def at(self, s: np.ndarray) -> np.ndarray:
         """Controls at fractions s (K,) of every interval, by its own polynomial, joints included; (n, N K)."""
-        return (self._local @ lagrange_values(self.points, s).T).reshape(
-            len(self.values), (len(self.mesh) - 1) * len(s)
-        )
+        values = self._local @ lagrange_values(self.points, s).T + self._bumps[:, :, None] * self._bump(s)
+        values = values.reshape(len(self.values), (len(self.mesh) - 1) * len(s))
+        return np.clip(values, *self.bounds[:, :, None])
+
+    def _bump(self, s: np.ndarray) -> np.ndarray:
+        """A polynomial of fractions s that is zero at the points, and positive elsewhere."""
+        return np.prod((s[:, None] - self.points) ** 2, axis=1)
+
+    @cached_property
+    def _bumps(self) -> np.ndarray:
+        """Bumps added to the polynomials before they are cut, so that their means stay; (n, N)."""
+        u, bump = self._local @ lagrange_values(self.points, MIDPOINTS).T, self._bump(MIDPOINTS)
+        (low, high), bumps = self.bounds[:, :, None], np.zeros(u.shape[:2])
+        cut = np.abs(np.mean(np.clip(u, low[:, None], high[:, None]) - u, axis=2))
+        for k, i in np.argwhere(cut > np.sqrt(EPS) * np.max(np.abs(u), axis=2)):
+            most = np.max(np.abs(u[k, i])) / np.max(bump) / np.sqrt(EPS)
+            least = -most
+            for _ in range(round(-1.5 * np.log2(EPS))):  # from there to rounding
+                bumps[k, i] = (least + most) / 2
+                if np.mean(np.clip(u[k, i] + bumps[k, i] * bump, low[k], high[k]) - u[k, i]) > 0:
+                    most = bumps[k, i]
+                else:
+                    least = bumps[k, i]
+        return bumps
 
     @property
     def _local(self) -> np.ndarray:
@@ -96,4 +139,7 @@ class ControlPath:
         gaps = [s - point for point in self.points.tolist()]
         before, after = (list(accumulate(some, initial=ca.SX(1), func=mul)) for some in (gaps[:-1], gaps[:0:-1]))
         basis = barycentric_weights(self.points) * ca.vertcat(*map(mul, before, reversed(after)))
-        return ca.vertcat(*(ca.dot(ca.vertcat(*map(switched, rows.T)), basis) for rows in self._local)) / ca.sum1(basis)
+        u = ca.vertcat(*(ca.dot(ca.vertcat(*map(switched, rows.T)), basis) for rows in self._local)) / ca.sum1(basis)
+        u += ca.vertcat(*map(switched, self._bumps)) * ca.sumsqr(before[-1] * gaps[-1])
+        low, high = map(ca.DM, self.bounds)
+        return ca.fmin(ca.fmax(u, low), high)

@@ -35,7 +35,6 @@ STEP = (
     "a callable steps, as x or v pass some value or at a given time while durations or parameters are free, and no "
     "derivative shows it: smooth the step, or state what is before and behind it as phases"
 )
-SHOWN_OVERSHOOT = 1e-3  # overshoot over the width of the bounds above which the summary shows it
 ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
 DOT_SIZE = 3.0  # size of the dots of quadrature points, which are many
 
@@ -284,15 +283,6 @@ class ControlTrajectory(Trajectory):
         """
         return self.between_points.control_misfit
 
-    @property
-    def control_overshoot(self) -> np.ndarray:
-        """Largest excess of the controls over their bounds between the points, over the bounds' width; (N,).
-
-        It is large where a control jumps inside an interval (bang-bang), where a joint at the jump would help; the
-        summary then shows it.
-        """
-        return self.between_points.control_overshoot
-
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
         return self.between_points.path_constraints(parts)
@@ -435,7 +425,7 @@ class ControlTrajectory(Trajectory):
         errors = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
         if errors:
             return [f"  error       {errors}, estimated"]
-        return self._undetermined() or self._stepping() or self._unresolved() or self._unbalanced()
+        return self._undetermined() or self._stepping() or self._unresolved() or self._unflown() or self._unbalanced()
 
     def _not_optimal(self) -> bool:
         """Whether further Newton steps would change the cost by more than a solver should leave."""
@@ -462,9 +452,25 @@ class ControlTrajectory(Trajectory):
 
     def _unbalanced(self) -> list[str]:
         """A line on a Hamiltonian that varies where it should not, as where the cost jumps at a value of a control."""
-        fraction = self.hamiltonian_variation / max(abs(self.cost), self.between_points.cost_of_forces, TINY)
+        fraction = self.hamiltonian_variation / self._costs
         words = f"the Hamiltonian, which should be constant, varies by {fraction:.0e} of the cost; take more intervals"
         return [f"  NOT RESOLVED: {words}"] if fraction > UNBALANCED else []
+
+    def _unflown(self) -> list[str]:
+        """A line on what the mesh does not resolve between its points: bounds, controls, a jump in time."""
+        jumps, finer = self.between_points.jump_effects / self._costs, "take more intervals, or give tol"
+        missed = {
+            "a callable jumps, by up to {:.0e} of the cost {}; name its time in breakpoints": jumps,
+            f"bounds are exceeded by {{:.0e}} of the path {{}}; {finer}": self.constraint_excess,
+            f"`control(t)` misses the motion by {{:.0e}} {{}}; {finer}": self.control_misfit,
+        }
+        lines = [self._line_if_above(values, UNRESOLVED, words) for words, values in missed.items()]
+        return next(filter(None, lines), [])
+
+    @property
+    def _costs(self) -> float:
+        """Size of the cost and of what forces cost."""
+        return max(self.cost_size, self.between_points.cost_of_forces, TINY)
 
     def _stepping(self) -> list[str]:
         """A line on a step of a callable that the solver has not seen."""
@@ -489,8 +495,6 @@ class ControlTrajectory(Trajectory):
         """Lines on the residuals between the points: the defect, and the excess over bounds."""
         what = "momentum" if self.problem.mechanical else "value"
         lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest {what}"]
-        if np.max(self.control_overshoot) > SHOWN_OVERSHOOT:
-            lines.append(f"  overshoot   {self._worst(self.control_overshoot)}, of the bounds' width")
         if np.max(self.constraint_excess) > FEASIBLE:  # solvers leave as much
             lines.append(f"  excess      {self._worst(self.constraint_excess)}, of the path's size")
         return lines

@@ -13,20 +13,20 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
-from casadi_galerkin.calculus.quadrature import Quadrature, gauss
+from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.functional.interval import SlopeBasis
 from casadi_galerkin.functional.mapping import at_places
-from casadi_galerkin.problems.bounds import AT_BOUND, bound_excess
+from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.expressions import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.time_jumps import Steps, integrand, jumps_in_time, may_step, moving_phases, steps_in_place
 from casadi_galerkin.solution.trajectory import Trajectory
 
 # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
 SAMPLING_FACTOR = 4
+PARTS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +61,6 @@ class BetweenPoints:
         shape = len(x), -1, len(parts)
         return momentum.reshape(shape), rate.reshape(shape)
 
-    def _impulses(self, rule: Quadrature) -> np.ndarray:
-        """Integrals of the forces over every interval by a rule; (d, N)."""
-        return self.motion(np.array(rule.points))[1] @ np.array(rule.weights) * np.diff(self.path.t)
-
     @cached_property
     def cost_of_forces(self) -> float:
         """Cost of forces and rates that would change momenta and first-order components by their sizes."""
@@ -82,45 +78,48 @@ class BetweenPoints:
         return (defect / or_one(size)[:, None]).max(axis=0)
 
     @cached_property
+    def missed_impulses(self) -> np.ndarray:
+        """What the impulses of the controls as functions of time exceed those at the points by, relative; (d, N)."""
+        steps, (points, weights), (finer, its) = np.diff(self.path.t), self._rule, self._finer_rule
+        rates = self.motion(points)[1]
+        sizes = np.abs(self.momenta).max(axis=1) + np.abs(rates) @ weights @ steps
+        return (self.motion(finer)[1] @ its - rates @ weights) * steps / or_one(sizes)[:, None]
+
+    @property
     def control_misfit(self) -> np.ndarray:
         """As in `ControlTrajectory`."""
-        rule = self.path.method.quadrature
-        impulses = self._impulses(rule)
-        sizes = or_one(np.abs(self.momenta).max(axis=1) + np.abs(impulses).sum(axis=1))
-        return (np.abs(self._impulses(gauss(len(rule) + 2)) - impulses) / sizes[:, None]).max(axis=0)
+        return np.max(np.abs(self.missed_impulses), axis=0)
 
-    @cached_property
-    def control_overshoot(self) -> np.ndarray:
-        """As in `ControlTrajectory`."""
-        low, high = np.array(self.problem.control_bounds)
-        width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
-        u = self.control.at(sampling_parts(len(self.path.method.quadrature)))
-        excess = bound_excess(u, low, high) / width[:, None]
-        return excess.max(axis=0, initial=0.0).reshape(len(self.path.t) - 1, -1).max(axis=1)
+    @property
+    def missed_cost(self) -> float:
+        """What the controls as functions of time change the cost by, to first order."""
+        values = [
+            at_places(self.integrand, *self.along(points))[0].reshape(-1, len(points)) @ weights
+            for points, weights in (self._rule, self._finer_rule)
+        ]
+        return abs(float((values[1] - values[0]) @ np.diff(self.path.t)))
+
+    @property
+    def flight_error(self) -> float:
+        """Largest error of a momentum or value at a joint in a flight with `control(t)`, without its growth."""
+        return float(np.max(np.abs(np.cumsum(self.missed_impulses, axis=1))))
+
+    @property
+    def _rule(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points and weights of the quadrature."""
+        rule = self.path.method.quadrature
+        return np.array(rule.points), np.array(rule.weights)
+
+    @property
+    def _finer_rule(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points and weights that see the kinks of a cut control, and of smooth ones more than the quadrature does."""
+        rule, parts = gauss(len(self.path.method.quadrature) + 2), np.arange(PARTS)[:, None]
+        return ((parts + rule.points) / PARTS).ravel(), np.tile(rule.weights, PARTS) / PARTS
 
     @property
     def constraint_excess(self) -> np.ndarray:
         """As in `ControlTrajectory`."""
         return np.max(self._relative_excess, axis=0)
-
-    @property
-    def common_excess(self) -> np.ndarray:
-        """The same where comparisons with other paths may not show it; (N,).
-
-        It is that of positions, and of path constraints on positions alone or that no quadrature point near by meets.
-        Where others are met, velocities and controls may jump, and exceed their bounds beside the jump by far more than
-        the path is off.
-        """
-        constraint, low, high = self.problem.path_constraint
-        moving = [
-            rows_that_depend(constraint, k, np.ones(constraint.numel_in(k), dtype=bool)) for k in (VELOCITIES, CONTROLS)
-        ]
-        values, places = self.path_constraints(self.path.method.element.points), np.arange(len(self.path.t) - 1)
-        distances = [np.min(np.abs(values - np.reshape(side, (-1, 1, 1))), axis=2) for side in (low, high)]
-        met = np.pad(np.min(distances, axis=0) <= AT_BOUND * self.constraint_changes, ((0, 0), (1, 1)))
-        near = met[:, places] | met[:, places + 1] | met[:, places + 2]
-        seen = np.any(moving, axis=0)[:, None] & near
-        return np.max(np.where(np.pad(seen, ((0, len(self.path.x)), (0, 0))), 0.0, self._relative_excess), axis=0)
 
     @cached_property
     def _relative_excess(self) -> np.ndarray:

@@ -1,11 +1,9 @@
 """What an optimized path misses between the quadrature points: equations of motion, and bounds."""
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator, minimum_time, pendulum, plane, speed_limited
+from control_problems import double_integrator, pendulum, plane, speed_limited
 
 import casadi_galerkin as cg
 
@@ -16,11 +14,23 @@ def test_dynamics_defect_is_of_the_order_of_the_degree():
     assert np.log2(defect[0].max() / defect[1].max()) == pytest.approx(3, abs=0.4)
 
 
-def test_an_overshoot_is_seen_where_only_one_side_is_bounded():
-    path = cg.solve(minimum_time(), cg.Galerkin(2), 5)
-    for bounds in ((-1.0, np.inf), (-np.inf, 1.0)):
-        one_sided = replace(path, problem=replace(path.problem, control_bounds=bounds))
-        np.testing.assert_allclose(one_sided.control_overshoot[2], 2 * path.control_overshoot[2], rtol=1e-6)
+def test_an_obstacle_between_the_points_is_not_resolved():
+    """A pole of radius 0.01 in the way, on ten intervals: no point meets it."""
+    pole = lambda t, x, v, u: ca.sumsqr(x - ca.DM([0.5, 0.0]))  # noqa: E731
+    path = cg.solve(plane(path_constraint=(pole, 0.01**2, np.inf)), cg.Galerkin(4), 10)
+    assert path.cost == pytest.approx(0.75, abs=1e-6)  # straight through
+    assert "NOT RESOLVED: bounds are exceeded by 1e+00 of the path between t = 0.8 and 1" in repr(path)
+
+
+def test_a_step_in_time_that_no_breakpoint_names_is_not_resolved():
+    push = lambda t, x, v, u: u + ca.if_else(t < 0.3173, 2.0, 0.0)  # noqa: E731
+    unnamed = cg.solve(double_integrator(force=push), cg.Galerkin(4), 10)
+    assert "NOT RESOLVED: a callable jumps, by up to 5e-03 of the cost between t = 0.3 and 0.4; name its" in repr(
+        unnamed
+    )
+    named = double_integrator(force=push, breakpoints=[0.3173])
+    mesh = [*np.linspace(0, 0.3173, 4), *np.linspace(0.3173, 1, 8)[1:]]
+    assert "NOT RESOLVED" not in repr(cg.solve(named, cg.Galerkin(4), mesh=mesh))
 
 
 def test_excess_between_the_points_is_told():
