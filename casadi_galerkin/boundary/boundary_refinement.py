@@ -137,11 +137,11 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
             return Estimate(largest, False, "Legendre coefficients", self.parts(truncation))
         self.check_time()
         graph, floor, refined = self.graph(path), self.floor(level), not self.regular(level)
-        error, varied = discretization_error(graph.higher, path, refined)
+        error, varied = discretization_error(graph, path, refined)
         self.check_time()
         error = math.hypot(error, floor)
         self.roundoff_level = FLOOR_FACTOR * max(floor, EPS * np.max(np.abs(path.mesh)) / np.ptp(path.mesh))
-        indicators = scaled_indicators(self.graphs.problem, path, level.momentum)
+        indicators = scaled_indicators(level.motion, path, level.momentum)
         source, indicator = max(indicators.items(), key=lambda item: float(np.max(item[1])))
         if np.max(indicator) > self.tol:
             parts = partial(parts_wanted, indicator, 1)  # at a kink it falls in proportion to the step
@@ -263,7 +263,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
 
     def at_pole(self, level: CriticalPoint) -> bool:
         """Whether a path leads through a pole of L, which other paths avoid."""
-        indicators = scaled_indicators(self.graphs.problem, level.polynomial, level.momentum)
+        indicators = scaled_indicators(level.motion, level.polynomial, level.momentum)
         return bool(np.any(indicators["Lagrangian between points"]))
 
     def by_the_first(self, strategies: Iterable[Strategy]) -> Trajectory:

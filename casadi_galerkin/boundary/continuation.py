@@ -307,7 +307,7 @@ class BranchFollower(Curve[PathPoint]):
         if not np.all(bends > self.least_cosine) or (ends and turned):  # NaN for a path that grows without bound
             return None  # or it returns from a fold beyond the end
         try:
-            found = self.point(z, following, CriticalPoint(solution, self.problem(z), self.path(z).polynomial))
+            found = self.point(z, following, self.transcription.for_problem(self.problem(z)).point(solution))
         except ConjugatePointError:  # the point is at a fold
             return None
         crossed = bool(found.parity * point.parity < 0)

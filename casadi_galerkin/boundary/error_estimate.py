@@ -24,11 +24,12 @@ ROUNDING_RMS = 0.2  # root mean square of the error of rounding to the nearest d
 def discretization_error(
     graph: BoundaryGraph, path: PiecewisePolynomial, refined: bool = True
 ) -> tuple[float, PiecewisePolynomial]:
-    """Largest error of a path of a lower degree than the graph's, relative to the size of its components.
+    """Largest error of a path of the graph's degree, relative to the size of its components.
 
-    The first Newton step from it on the same mesh estimates its error, at the joints and between them.  With the second
-    step it is extrapolated as a geometric series.  Where the duration is free, a step of the duration counts as the
-    distance that the path moves in that time.
+    The first Newton step from it in a higher degree on the same mesh estimates its error, at the joints and between
+    them.  With the second step it is extrapolated as a geometric series.  Where the duration is free, a step of the
+    duration counts as the distance that the path moves in that time.  The error of the multiplier of a given integral
+    counts as well, relative to the multiplier, or to how it changes with the path where that changes by its size.
 
     Parameters
     ----------
@@ -38,26 +39,37 @@ def discretization_error(
     -------
     the error, infinity where a step is not finite; and the responses to some forces at the point of the first step
     """
-    nodes = graph.method.element.nodes
+    multipliers = graph.integral_multipliers(graph.on_path(path)[0]) if graph.numbering.integrals else np.empty(0)
+    graph = graph.higher
+    nodes, numbering = graph.method.element.nodes, graph.numbering
     unknowns, data = graph.on_path(path)
+    unknowns[numbering.everywhere][: numbering.integrals] = multipliers
+    values = np.eye(numbering.free)[numbering.everywhere][: numbering.integrals]
 
     def moved(step: np.ndarray) -> float:
         """Largest relative change of the path by a step."""
         change = graph.change(step)
-        if graph.numbering.free_duration:
+        if numbering.free_duration:
             times = path.times(nodes[:-1])
             change = change - step[-1] * path(times, 1) * (times - times[0])
         return largest_change(path, nodes, change)
 
+    def changed(step: np.ndarray) -> float:
+        """The same, or the largest relative change of a multiplier."""
+        return max(moved(step), *np.abs(graph.integral_multipliers(step)) / sizes) if len(sizes) else moved(step)
+
     with graph.stationarity.linearization() as at:
-        (step,) = at.solve(at.relinearize(unknowns, data))
+        step, *by_values = at.solve(at.relinearize(unknowns, data), *values)
+        sizes = np.abs(multipliers)
+        for by in by_values:
+            sizes = np.fmax(sizes, np.abs(graph.integral_multipliers(by)) / max(moved(by), TINY))
         there, forces = unknowns + step, _generic_forces(graph, path, at.mass)
         again, *varied = at.solve(at.relinearize(there, data), *forces)
         if refined:
             varied = at.refined(there, data, forces, varied)
     error = math.inf
     if np.isfinite([step, again]).all():
-        first, second = moved(step), moved(again)
+        first, second = changed(step), changed(again)
         error = first / (1 - min(LARGEST_RATIO, second / first)) if first > 0 else 0.0
     return error, _joined(graph, path, varied)
 
@@ -132,6 +144,6 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
 
 def error_between_ends(graph: BoundaryGraph, path: PiecewisePolynomial) -> float:
     """Estimate the error of a path of the graph's degree: where `agreement` is poor, at least 1 minus that."""
-    error, varied = discretization_error(graph.higher, path)
+    error, varied = discretization_error(graph, path)
     agreed = agreement(graph, path, varied)
     return error if agreed >= LEAST_AGREEMENT else max(error, 1 - agreed)

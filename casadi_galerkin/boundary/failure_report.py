@@ -27,7 +27,11 @@ def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> tupl
 
     Where a Function that the Lagrangian calls has failed, also its error.
     """
-    pointwise, numbering, parameters = functional.pointwise, functional.numbering, functional.parameters_of(data)
+    pointwise, numbering, parameters = (
+        functional.pointwise,
+        functional.numbering,
+        functional.parameters_at(unknowns, data),
+    )
     joints, points = joints_of(numbering, unknowns, data), numbering.method.element.points
     if not np.all(joints[:-1] < joints[1:]):
         change = "shrunk" if unknowns[-1] < 0 else "grown"
@@ -128,7 +132,7 @@ def explained(
     when = times[np.argmax((numbering.of_nodes == worst).any(axis=1))]
     place = f"the largest residual is at t = {when:.6g}"
     if worst >= numbering.positions:
-        place = "the largest residual is that of a constraint, of a condition on the ends or of the energy"
+        place = "the largest residual is that of a constraint, of a condition on ends or integrals or of the energy"
     cause, derivatives = None, Evaluator(stationarity.functional.function("derivatives"))
     if not all(np.isfinite(a).all() for a in derivatives(unknowns, *data)):
         place, cause = not_finite(stationarity.functional, unknowns, data)
@@ -148,6 +152,12 @@ def explained(
         words = f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free. {opened}"
     if numbering.multipliers:
         words += "; the constraints and the conditions on the ends may contradict one another, or say one thing twice"
+    if problem.integral_values is not None:
+        missed = g[numbering.everywhere][: numbering.integrals]
+        found = np.array(problem.integral_values) + missed
+        words += (
+            f"; there may be no path with the integrals {list(problem.integral_values)}: here they are {found.tolist()}"
+        )
     if numbering.free_duration:
         words += "; there may be no path of this energy"
     error = kind(words, Path(path), float(residual[worst]), failure.iterations)

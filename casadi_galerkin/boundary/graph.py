@@ -42,11 +42,18 @@ class CriticalPoint:
     problem: BoundaryProblem
     polynomial: PiecewisePolynomial
 
+    integral_multipliers: np.ndarray
+
+    @property
+    def motion(self) -> BoundaryProblem:
+        """The problem of this path without integral conditions: with their multipliers, of which L + μ·g is made."""
+        return self.problem.with_multipliers(self.integral_multipliers.tolist())
+
     @cached_property
     def momentum(self) -> np.ndarray:
         """Momenta at the joints, (d, N + 1); with velocities that are tangent to a constraint."""
         momentum = self.solution.momentum.reshape(self.problem.dimension, -1, order="F")
-        return tangent_at_joints(self.problem, self.polynomial, momentum)
+        return tangent_at_joints(self.motion, self.polynomial, momentum)
 
 
 class BoundaryGraph:
@@ -132,8 +139,16 @@ class BoundaryGraph:
             raise error from error.__cause__
         if not isinstance(solution, Solution):
             raise TypeError(f"solver must return a Solution, {solver!r} has returned {solution!r}; take cg.newton")
+        return graph.point(solution)
+
+    def point(self, solution: Solution) -> CriticalPoint:
+        """The critical point of a solution of this problem."""
         path = self.emb(solution.unknowns, solution.data)
-        return CriticalPoint(solution, problem, path)
+        return CriticalPoint(solution, self.problem, path, self.integral_multipliers(solution.unknowns))
+
+    def integral_multipliers(self, unknowns: np.ndarray) -> np.ndarray:
+        """The multipliers of given integrals among the unknowns ξ, (k,)."""
+        return unknowns[self.numbering.everywhere][: self.numbering.integrals]
 
     def on_path(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
         """Unknowns and data of a path of any degree on any mesh of as many intervals."""
@@ -192,26 +207,26 @@ class BoundaryGraph:
         return phase_plane(path) if self.problem.free_phase else None
 
     def plane_in(self, data: Data) -> np.ndarray | None:
-        """The plane among the data, if one is needed; it stands before the energy, which is last."""
-        return data[-1][-2 * self.problem.dimension - 1 : -1] if self.problem.free_phase else None
+        """The plane among the data, if one is needed; it stands first among the given values."""
+        return data[-1][: 2 * self.problem.dimension] if self.problem.free_phase else None
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
         """Unknowns ξ from node values (N m + 1, d); for those of a critical point they are nearly its unknowns.
 
-        Unknown velocities at the ends are those of the path there.  Multipliers, which enter linearly, are taken from
-        one Newton step.
+        Unknown velocities at the ends are those of the path there.  Multipliers are taken from least squares.
         """
-        numbering = self.numbering
+        numbering, count = self.numbering, sum(len(end.unknown) for end in self._end_velocities)
         unknowns = np.zeros(numbering.free)
         unknowns[: numbering.positions] = values.ravel()[numbering.place]
-        last = numbering.positions + numbering.multipliers
-        multipliers = slice(numbering.positions, last - sum(len(end.unknown) for end in self._end_velocities))
-        if multipliers.stop < last:
+        if count:
             path, ends = self.emb(unknowns, data), zip((0, -1), self._end_velocities, strict=True)
-            unknowns[multipliers.stop : last] = np.concatenate([path(path.mesh[k], 1)[end.unknown] for k, end in ends])
-        if multipliers.stop > multipliers.start:
+            velocities = np.concatenate([path(path.mesh[k], 1)[end.unknown] for k, end in ends])
+            unknowns[numbering.everywhere.start - count : numbering.everywhere.start] = velocities
+        before, last = numbering.everywhere.start - count, numbering.positions + numbering.multipliers
+        multipliers = np.r_[numbering.positions : before, before + count : last]
+        if len(multipliers):
             with self.stationarity.linearization() as at:
-                step = at.newton_step(unknowns, data).step
-            if np.all(np.isfinite(step)):
-                unknowns[multipliers] = step[multipliers]
+                found = at.least_squares(unknowns, data, multipliers)
+            if np.all(np.isfinite(found)):
+                unknowns[multipliers] = found
         return unknowns

@@ -128,7 +128,7 @@ def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
 
 def _branch_point(graph: Transcription, path: Trajectory, values: np.ndarray) -> BranchPoint:
     problem, mesh = graph.problem, path.t
-    index = SecondVariation(graph, problem, path.polynomial).negative()
+    index = SecondVariation(graph, problem, path.polynomial, path.integral_multipliers).negative()
     if graph.numbering.multipliers or not graph.stationarity.variational:
         return BranchPoint(values, index, np.nan, np.full(len(values), np.nan))
     unknowns, data = graph.on_path(path.polynomial)

@@ -228,8 +228,7 @@ class Search:
         """Keep a critical point if it is new and regular, and its error is small."""
         if not self.is_new(solution.unknowns):
             return
-        polynomial = self.transcription.emb(solution.unknowns, solution.data)
-        point = CriticalPoint(solution, self.transcription.problem, polynomial)
+        point = self.transcription.point(solution)
         try:
             path = self.transcription.trajectory(point, seconds) if self.refine is None else self.refine(point)
         except ConvergenceError as failure:

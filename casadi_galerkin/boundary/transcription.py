@@ -27,7 +27,7 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.legendre_transform import legendre_transform
-from casadi_galerkin.problems.problem import END_MOTIONS
+from casadi_galerkin.problems.problem import VARIED
 from casadi_galerkin.problems.velocities import convex
 from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -78,8 +78,8 @@ class Transcription(BoundaryGraph):
     def action(self) -> ca.Function:
         """S, with the end action and the work of given momenta, of (unknowns, start, end, mesh[, parameters][, given]).
 
-        Of `start` and `end` the fixed components; `given` are the velocities, the momenta and the energy that the
-        problem states, in this order, and before the energy the plane that fixes a free phase.  Multipliers times what
+        Of `start` and `end` the fixed components; `given` are the velocities and momenta that the problem states, the
+        plane that fixes a free phase, the values of integrals, and the energy, in this order.  Multipliers times what
         they hold to zero, such as end conditions and constraints, are left out, and so is a given energy times the
         duration.
         """
@@ -122,7 +122,7 @@ class Transcription(BoundaryGraph):
         solver : newton, rootfinder, ipopt or minimizer
         verbose : 1 prints a summary, 2 also a line per iteration
         given : start_velocity, end_velocity, start_momentum, end_momentum (d numbers each, None where the problem has
-            it) or energy, where the problem has them
+            it), integral_values (k numbers) or energy, where the problem has them
 
         Raises
         ------
@@ -153,7 +153,7 @@ class Transcription(BoundaryGraph):
         self.refuse_conjugate(point)
         if self.numbering.free_duration:  # the duration asked for was a guess
             problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
-        variations = SecondVariation(self, problem, path)
+        variations = SecondVariation(self, problem, path, point.integral_multipliers)
         return Trajectory(
             polynomial=path,
             momentum=point.momentum,
@@ -169,6 +169,7 @@ class Transcription(BoundaryGraph):
             find_regularity=variations.smallest,
             find_difference=variations.difference,
             find_finer=variations.finer,
+            integral_multipliers=point.integral_multipliers,
         )
 
     def nearby(self, path: PiecewisePolynomial) -> Trajectory:
@@ -192,11 +193,9 @@ class Transcription(BoundaryGraph):
 def check_given(given: Mapping[str, object]) -> None:
     """Refuse what no boundary problem states."""
     for name in given:
-        if name not in (*END_MOTIONS, "energy"):
+        if name not in VARIED:
             other = "; other times are given by mesh" if name == "t_span" else ""
-            raise TypeError(
-                f"solve takes {', '.join(END_MOTIONS)} or energy beside its own arguments, got {name}{other}"
-            )
+            raise TypeError(f"solve takes other values of {', '.join(VARIED)}, got {name}{other}")
 
 
 class SecondVariation:
@@ -207,11 +206,15 @@ class SecondVariation:
     transcription : Transcription that found the path
     problem : BoundaryProblem, with the ends and parameters of the path
     path : PiecewisePolynomial
+    multipliers : of integral conditions
     """
 
-    def __init__(self, transcription: Transcription, problem: BoundaryProblem, path: PiecewisePolynomial) -> None:
+    def __init__(
+        self, transcription: Transcription, problem: BoundaryProblem, path: PiecewisePolynomial, multipliers: np.ndarray
+    ) -> None:
         self._transcription: Transcription | None = transcription
         self._problem, self._method, self._path = problem, transcription.method, path
+        self._motion = problem.with_multipliers(multipliers.tolist())
 
     def _graph(self) -> Transcription:
         """The graph of the path's own degree."""
@@ -225,7 +228,7 @@ class SecondVariation:
     @cached_property
     def _kinked(self) -> bool:
         """Whether L has a kink in x on the path, whose part of the second variation is in no Hessian."""
-        return bool(np.any(kinks_in_place(self._problem, self._path)))
+        return bool(np.any(kinks_in_place(self._motion, self._path)))
 
     def difference(self) -> float:
         """Relative difference to a path of a higher degree: see `error_between_ends`."""
@@ -251,13 +254,13 @@ class SecondVariation:
         """
         if self._kinked:
             return None
-        problem, path, graph = self._problem, self._path, self._graph()
+        path, graph = self._path, self._graph()
         degrees = self._method.degree, higher_degree_method(self._method.degree).degree
         methods = (Galerkin(degree, quadrature=gauss(2 * degree)) for degree in degrees)
         index, of_higher = (negative_eigenvalues(*self._at_path(graph.for_method(method))) for method in methods)
         if index is None or index != of_higher:
             return None
-        transform = legendre_transform(problem.numeric.lagrangian)
+        transform = legendre_transform(self._motion.numeric.lagrangian)
         ends = np.array([0.0, 1.0])  # of every interval
         return index if convex(transform, *path.sampled(ends)) else None
 

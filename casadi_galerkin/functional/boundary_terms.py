@@ -21,7 +21,7 @@ x = given is imposed on it (`given_unknowns` below).
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import casadi as ca
@@ -63,22 +63,23 @@ def _at_end(lagrangian: ca.Function, given: tuple[bool, ...]) -> EndVelocities:
 def end_velocities(problem: BoundaryProblem) -> list[EndVelocities]:
     """The velocities at the start and at the end of a problem."""
     stated = [tuple(value is not None for value in getattr(problem, f"{end}_velocity")) for end in ENDS]
-    return [_at_end(problem.lagrangian, given) for given in stated]
+    return [_at_end(problem.with_multipliers().lagrangian, given) for given in stated]
 
 
 def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: PointMap) -> Functional:
     """Build the functional of a problem on a number of intervals."""
     check_points(problem.constraint, method)
-    statement = _Statement(problem)
+    statement, total = _Statement(problem), problem.with_multipliers()
     numbering, given = statement.numbering(method, intervals), len(given_values(problem))
-    return Functional(problem.lagrangian, numbering, mapping, problem.force, statement.terms(numbering), given)
+    return Functional(total.lagrangian, numbering, mapping, total.force, statement.terms(numbering), given)
 
 
 def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> np.ndarray:
-    """Given values that are inputs of the terms: velocities and momenta at the ends, the plane (n, c), the energy."""
+    """Given values that are inputs of the graph: end motions, the plane (n, c), integrals, the energy."""
     values = [value for name in END_MOTIONS for value in getattr(problem, name) if value is not None]
     if problem.free_phase:
         values += [0.0] * (2 * problem.dimension) if plane is None else plane.tolist()
+    values += problem.integral_values or ()
     return np.array(values + ([] if problem.energy is None else [problem.energy]))
 
 
@@ -111,7 +112,7 @@ class _Statement:
     """
 
     def __init__(self, problem: BoundaryProblem) -> None:
-        self.problem = problem
+        self.problem, self.total = problem, problem.with_multipliers()
         self.fixed = [
             tuple(i for i, value in enumerate(side) if value is not None) for side in (problem.start, problem.end)
         ]
@@ -122,8 +123,8 @@ class _Statement:
 
     @cached_property
     def parameters(self) -> ca.SX:
-        """Symbols of the parameters."""
-        return ca.SX.sym("p", len(self.problem.parameters or ()))
+        """Symbols of the parameters, and of the multipliers of given integrals."""
+        return ca.SX.sym("p", len(self.total.parameters or ()))
 
     @cached_property
     def given(self) -> ca.SX:
@@ -138,8 +139,10 @@ class _Statement:
         multipliers += (
             0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.given_unknowns))
         )
+        integrals = len(self.problem.integral_values or ())
         ends = self.fixed[0], self.fixed[1], tuple(self.given_unknowns[0]), tuple(self.given_unknowns[1])
-        return Numbering(method, intervals, d, *ends, self.problem.periodic, multipliers, free_duration)
+        counts = multipliers + integrals, integrals
+        return Numbering(method, intervals, d, *ends, self.problem.periodic, *counts, free_duration)
 
     def _constrained(self, last: int) -> dict[tuple[int, ...], list[int]]:
         """Constraints, and the numbers of the nodes, up to the last one, at which they are imposed, in groups.
@@ -161,7 +164,7 @@ class _Statement:
     def terms(self, numbering: Numbering) -> tuple[LocalTerm, ...]:
         """All terms; their multipliers are numbered in the same order."""
         terms, last = list[LocalTerm](), numbering.intervals * numbering.method.degree
-        multipliers = np.arange(numbering.positions, numbering.positions + numbering.multipliers)
+        multipliers = np.arange(numbering.positions, numbering.everywhere.start)
         for rows, nodes in self._constrained(last).items():
             count, at = len(rows) * len(nodes), np.array(nodes)
             of_constraints, multipliers = multipliers[:count].reshape(-1, len(rows)), multipliers[count:]
@@ -184,7 +187,8 @@ class _Statement:
 
     def _called(self, function: Callable[..., ca.SX], *arguments: ca.SX) -> ca.SX:
         """A callable of the problem at these arguments and, where there are some, the parameters."""
-        return function(*arguments, *([] if self.problem.parameters is None else [self.parameters]))
+        own = self.problem.parameters
+        return function(*arguments, *([] if own is None else [self.parameters[: len(own)]]))
 
     def _constraint(self, chosen: tuple[int, ...]) -> ca.Function:
         t, x, impulse = ca.SX.sym("t"), ca.SX.sym("x", self.problem.dimension), ca.SX.sym("impulse", len(chosen))
@@ -213,8 +217,7 @@ class _Statement:
         if problem.end_conditions is not None:
             further = self._called(problem.end_conditions, *x)
         elif problem.free_phase:
-            normal, through, _ = ca.vertsplit(self.given, [0, d, 2 * d, 2 * d + 1])
-            further = ca.dot(normal, x[0] - through)
+            further = ca.dot(self.given[:d], x[0] - self.given[d : 2 * d])
         if further.numel():
             multipliers = ca.SX.sym("multipliers", further.numel())
             unknowns.append(multipliers)
@@ -226,7 +229,8 @@ class _Statement:
             velocities, positions_here = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(given_unknowns))
             v = stated[END_MOTIONS[k]]
             v[unknown] = velocities
-            momentum = (-1) ** k * self._called(partial(momentum_at, problem.lagrangian), t[k], x[k], v)
+            at = [t[k], x[k], v, self.parameters][: self.total.lagrangian.n_in()]
+            momentum = (-1) ** k * momentum_at(self.total.lagrangian, *at)
             natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in given_unknowns]
             further = ca.vertcat(
                 further, *natural, *(x[k][i] - positions_here[j] for j, i in enumerate(given_unknowns))
@@ -234,7 +238,8 @@ class _Statement:
             for i in (*given, *given_unknowns):
                 rows[k * d + i] = momentum[i]
             unknowns, given_positions = [*unknowns, velocities], [*given_positions, positions_here]
-            if unknown or ca.jacobian(momentum[given], positions).nnz():
+            multipliers = self.parameters[len(problem.parameters or ()) :]
+            if unknown or ca.jacobian(momentum[given], ca.vertcat(positions, multipliers)).nnz():
                 symmetric = False
             else:
                 work += sum(momentum[i] * x[k][i] for i in given)

@@ -12,12 +12,13 @@ is not differentiated for ∇S and ∇²S.  E, Eᵀ and Eᵀ blockdiag(·) E dep
 
 Whatever else a problem states beside L is a further term of the same sum:
 
-    S̄  =  S  +  φ(x_0, x_N)  +  μ·ψ(x_0, x_N)  +  Σ Λ_a·g(t_a, x_a)  +  ε T
-                end action      end conditions    holonomic constraints   given energy ε, free duration
+    S̄  =  S  +  φ(x_0, x_N)  +  μ·ψ(x_0, x_N)  +  Σ Λ_a·g(t_a, x_a)  +  ν·(∫ G dt - c)  +  ε T
+                end action      end conditions    holonomic constraints   given integrals      given energy ε
 
-The middle three are sums over single places (`local_terms`); the last makes the duration T an unknown.  A force is not
-a term of S̄, but adds its virtual work to the equations (`pointwise`).  Below, ∇S are all equations of the unknowns, and
-∇²S is their Jacobian.
+The first three of them are sums over single places (`local_terms`).  The last two have unknowns that enter at all
+points: the multipliers ν, as parameters of the Lagrangian L + ν·G, and the duration T.  A force is not a term of S̄, but
+adds its virtual work to the equations (`pointwise`).  Below, ∇S are all equations of the unknowns, and ∇²S is their
+Jacobian.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import casadi as ca
+import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.functional.embedding import (
@@ -58,13 +60,14 @@ class Functional:
 
     Parameters
     ----------
-    lagrangian : Function (t, x, v[, p]) -> scalar
+    lagrangian : Function (t, x, v[, p]) -> scalar; the last of p are the multipliers of given integrals
     numbering : Numbering
     mapping : `one_by_one`, which is fast to build, or `by_rows`, which is fast to evaluate and always used for many
         points
     force : Function of the same arguments -> (d,), or None
     terms : LocalTerms that are added
-    given : number of values that the terms take beside the parameters; with a free duration the last is the energy
+    given : number of values that the terms take beside the parameters; the last are those of the integrals, and, with a
+        free duration, the energy
 
     Attributes
     ----------
@@ -90,7 +93,8 @@ class Functional:
         self.symmetric = self.pointwise.symmetric and all(term.symmetric for term in terms)
         self._mapping = by_rows if numbering.points >= ROWS_FROM_POINTS else mapping
         self._shared = (4,) if lagrangian.n_in() == 4 else ()  # after t, h, x and x' the parameters
-        self._parameters = [ca.MX.sym("parameters", lagrangian.size1_in(3))] if self._shared else []
+        parameters = lagrangian.size1_in(3) - numbering.integrals if self._shared else 0
+        self._parameters = [ca.MX.sym("parameters", parameters)] if parameters else []
         self._given = [ca.MX.sym("given", given)] if given else []
         pattern = self.pointwise.pattern
         self.pattern_key = (self.numbering, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.symmetric)
@@ -108,9 +112,10 @@ class Functional:
         further = (*self._parameters, *self._given)
         return self._embedded.symbols | {symbol.name(): symbol for symbol in further}
 
-    def parameters_of(self, data: Data) -> Data:
-        """The parameters among the data, if there are some."""
-        return data[3 : 3 + len(self._parameters)]
+    def parameters_at(self, unknowns: np.ndarray, data: Data) -> Data:
+        """The parameters of L, if there are some, with the multipliers of integrals."""
+        own, multipliers = data[3 : 3 + len(self._parameters)], unknowns[self.numbering.everywhere]
+        return (np.concatenate((*own, multipliers[: self.numbering.integrals])),) if self._shared else ()
 
     @property
     def sparsity(self) -> ca.Sparsity:
@@ -122,9 +127,15 @@ class Functional:
         """The vector u = (ξ, start, end) of the numbering."""
         return self._embedded.u
 
+    @property
+    def _multipliers(self) -> ca.MX:
+        """The multipliers of given integrals."""
+        return self.symbols["unknowns"][self.numbering.everywhere][: self.numbering.integrals]
+
     @cached_property
     def _at(self) -> list[ca.MX]:
-        return [*self._embedded.points, *self._parameters]
+        further = [*self._parameters, self._multipliers] if self.numbering.integrals else self._parameters
+        return [*self._embedded.points, *([ca.vertcat(*further)] if further else [])]
 
     def _at_points(self, function: ca.Function) -> list[ca.MX]:
         return self._mapping(function, self.numbering.points, self._shared).call(self._at)
@@ -146,8 +157,7 @@ class Functional:
     @property
     def _arguments_of_terms(self) -> list[ca.MX]:
         """What the local terms depend on."""
-        further = (ca.vertcat(*symbols) for symbols in (self._parameters, self._given))
-        return [self.u, self._embedded.joints, *further]
+        return [self.u, self._embedded.joints, ca.vertcat(*self._at[4:]), ca.vertcat(*self._given)]
 
     @cached_property
     def _terms(self) -> list[list[ca.MX]]:
@@ -157,33 +167,56 @@ class Functional:
         return [term.evaluated(*self._arguments_of_terms) for term in self.terms]
 
     @cached_property
-    def _stretch(self) -> tuple[ca.MX, ca.MX]:
-        """The equation of the duration, ∂S/∂τ + E T with τ = log T, and the derivatives of all equations by τ."""
-        by_stretch = ca.MX(ca.Sparsity.unit(self.numbering.free, self.numbering.free - 1))
-        action, energy = summed(self.numbering, self._first[0]), self._given[0][-1]
-        row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * self._embedded.duration
-        rows = integrated(self.numbering, *self._first[1:])[: self.numbering.free - 1, :]
-        return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
+    def _everywhere(self) -> tuple[ca.MX, ca.MX]:
+        """Equations of the unknowns that enter at all points, and derivatives of all equations by these unknowns.
+
+        They are ∫ G dt - c of the multipliers, and ∂S/∂τ + E T of τ = log T.
+        """
+        unknowns, places = self.symbols["unknowns"], self.numbering.everywhere
+        by = ca.MX(ca.DM.eye(self.numbering.free)[:, places])
+        row = ca.jtimes(summed(self.numbering, self._first[0]), unknowns, by).T + self._given_everywhere
+        rows = integrated(self.numbering, *self._first[1:])[: places.start, :]
+        return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), unknowns, by))
 
     @cached_property
-    def _sizes_of_energies(self) -> ca.MX:
-        """Sum of the sizes of the terms of the equation of the duration, which are -L̂, ∂L̂/∂x'_i x'_i and E T."""
-        lagrangian, _, momenta = self._first[:3]
-        at_points = ca.fabs(lagrangian) + ca.sum1(ca.fabs(momenta * self._embedded.points[-1]))
-        return summed(self.numbering, at_points) + ca.fabs(self._given[0][-1]) * self._embedded.duration
+    def _given_everywhere(self) -> ca.MX:
+        """The given terms of these equations: -c and E T."""
+        factors = [ca.MX(-1.0)] * self.numbering.integrals + [self._embedded.duration] * self.numbering.free_duration
+        return ca.vertcat(*factors) * self._given[0][-len(factors) :]
+
+    @cached_property
+    def _sizes_everywhere(self) -> ca.MX:
+        """Sums of the sizes of their terms, which are of a duration -L̂, ∂L̂/∂x'_i x'_i and E T."""
+        (lagrangian, _, momenta), size, first = self._first[:3], self.numbering.free, self.numbering.everywhere.start
+        directions = [ca.MX(ca.Sparsity.unit(size, first + i)) for i in range(self.numbering.integrals)]
+        points = [ca.fabs(ca.jtimes(lagrangian, self.symbols["unknowns"], direction)) for direction in directions]
+        if self.numbering.free_duration:
+            points.append(ca.fabs(lagrangian) + ca.sum1(ca.fabs(momenta * self._embedded.points[-1])))
+        sums = ca.vertcat(*(summed(self.numbering, at_points) for at_points in points))
+        return sums + ca.fabs(self._given_everywhere)
 
     def _with_terms(self, total: ca.MX) -> ca.MX:
         """All equations, from those of the integral."""
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             total += term.gathered(self.numbering, rows)
-        if self.numbering.free_duration:
-            total = ca.vertcat(total[: self.numbering.free - 1, :], self._stretch[0])
-        return total
+        return self._with_last(total, lambda: self._everywhere[0])
+
+    def _with_last(self, total: ca.MX, last: Callable[[], ca.MX]) -> ca.MX:
+        """Values of all equations, with those of the unknowns that enter at all points in their place."""
+        places = self.numbering.everywhere
+        return total if places.start == places.stop else ca.vertcat(total[: places.start, :], last())
+
+    def _without_integrals(self, total: ca.MX) -> ca.MX:
+        """∫ L dt from ∫ (L + ν·G) dt."""
+        count = self.numbering.integrals
+        integrals = (self._everywhere[0] - self._given_everywhere)[:count] if count else ca.MX()
+        return total - ca.dot(self._multipliers, integrals) if count else total
 
     @cached_property
     def action(self) -> ca.MX:
         """S̄ without the terms of multipliers and of the energy; scalar."""
-        return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summed(self.numbering, self._first[0]))
+        action = self._without_integrals(summed(self.numbering, self._first[0]))
+        return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), action)
 
     @cached_property
     def gradient(self) -> ca.MX:
@@ -196,9 +229,8 @@ class Functional:
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
         for term in self.terms:
             sizes += term.gathered(self.numbering, term.sizes(*self._arguments_of_terms))
-        if self.numbering.free_duration:
-            sizes = ca.vertcat(sizes[: self.numbering.free - 1, :], self._sizes_of_energies)
-        action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), action)
+        sizes = self._with_last(sizes, lambda: self._sizes_everywhere)
+        action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), self._without_integrals(action))
         return {"action": action, "momentum": momenta, "gradient": self._with_terms(gradient), "terms": sizes}
 
     @cached_property
@@ -213,12 +245,16 @@ class Functional:
 
     @cached_property
     def _further(self) -> ca.MX | None:
-        """The part of ∇²S of the further terms and of the free duration; None where there are none."""
+        """The part of ∇²S of the further terms and of the unknowns that enter at all points; None without any."""
         added = [term.matrix(self.numbering, at[2]) for term, at in zip(self.terms, self._terms, strict=True)]
-        if self.numbering.free_duration:
-            column, last = self._stretch[1], self.numbering.free - 1
-            added.append(ca.horzcat(ca.MX(last + 1, last), column))
-            added.append(ca.vertcat(ca.MX(last, last + 1), ca.horzcat(column[:last, :].T, ca.MX(1, 1))))
+        first, size = self.numbering.everywhere.start, self.numbering.free
+        if first < size:
+            columns, by = self._everywhere[1], ca.MX(ca.DM.eye(size)[:, first:])
+            row = ca.horzcat(columns[:first, :].T, ca.MX(size - first, size - first))
+            if self.terms and self.numbering.integrals:  # the momentum of a given velocity may depend on multipliers
+                rows = [term.gathered(self.numbering, at[1]) for term, at in zip(self.terms, self._terms, strict=True)]
+                columns += ca.jtimes(sum(rows[1:], rows[0]), self.symbols["unknowns"], by)
+            added += [ca.horzcat(ca.MX(size, first), columns), ca.vertcat(ca.MX(first, size), row)]
         return sum(added[1:], added[0]) if added else None
 
     def function(self, name: str) -> ca.Function:

@@ -20,8 +20,8 @@ class Numbering:
     """The correspondence of the entries of a vector u and the values of a path.
 
     u holds the unknowns ξ, then the fixed components of the start, then those of the end.  ξ holds the free values of
-    the path in the order of time, then the multipliers and, where the duration is free, the logarithm of the stretch of
-    the mesh.
+    the path in the order of time, then the multipliers, those of given integrals last, and, where the duration is free,
+    the logarithm of the stretch of the mesh.
 
     Parameters
     ----------
@@ -32,6 +32,7 @@ class Numbering:
     given_unknowns_start, given_unknowns_end : those of them that stay unknowns, which an equation of a term fixes
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
+    integrals : int, those of them that are multipliers of given integrals
     free_duration : bool, whether the duration is unknown; the last of ξ is then the logarithm of its ratio to that of
         the mesh
     """
@@ -45,6 +46,7 @@ class Numbering:
     given_unknowns_end: tuple[int, ...]
     periodic: bool
     multipliers: int
+    integrals: int
     free_duration: bool
 
     @cached_property
@@ -99,6 +101,11 @@ class Numbering:
     def free(self) -> int:
         """Number of unknowns, the length of ξ."""
         return self.positions + self.multipliers + self.free_duration
+
+    @property
+    def everywhere(self) -> slice:
+        """The unknowns that enter at all points: the multipliers of integrals and the stretch of a free duration."""
+        return slice(self.free - self.integrals - self.free_duration, self.free)
 
     @property
     def size(self) -> int:

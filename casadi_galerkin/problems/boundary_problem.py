@@ -1,7 +1,8 @@
 """The public `BoundaryProblem`: a Lagrangian and what is given at two ends, checked before anything is solved.
 
 stationary    ∫ L(t, x, v) dt + φ(x_0, x_N)
-subject to    g(t, x) = 0,     ψ(x_0, x_N) = 0,     ends, velocities, momenta or an energy that are given,
+subject to    g(t, x) = 0,     ψ(x_0, x_N) = 0,     ∫ G(t, x, v) dt = c,
+              ends, velocities, momenta or an energy that are given,
 
 with a force F, if there is one, that adds its virtual work ∫ F·δx dt.
 """
@@ -15,12 +16,14 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import Values, components, counted, flag
-from casadi_galerkin.problems.callables import Traceable, depends_on_time
+from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
+from casadi_galerkin.problems.callables import Traceable, depends_on_time, with_multipliers
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.legendre_transform import legendre_transform, singular_mass
-from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given
+from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, with_values
 from casadi_galerkin.problems.statements import (
     function,
+    integrals,
     lagrangian,
     number,
     optional,
@@ -33,6 +36,7 @@ from casadi_galerkin.problems.statements import (
 )
 
 Given = tuple[float | None, ...]
+RANDOM_PLACES = 3  # places, beside one for every integral, at which the variations of integrals are compared
 SAME_ENERGY = 1e-9  # relative difference of two energies below which rounding may be the cause
 
 
@@ -111,7 +115,7 @@ def _rest(problem: BoundaryProblem) -> Iterator[str]:
     It is checked where ∂²L/∂v² does not depend on v: otherwise the energy need not be least at rest.
     """
     energy, transform = problem.energy, legendre_transform(problem.lagrangian)
-    if energy is None or transform.sparsity_jac(2, 1).nnz():
+    if energy is None or problem.integral_conditions is not None or transform.sparsity_jac(2, 1).nnz():
         return
     for name in ENDS:
         place = getattr(problem, name)
@@ -124,12 +128,54 @@ def _rest(problem: BoundaryProblem) -> Iterator[str]:
             yield f"no path of the energy {energy:g} goes through the {name} {list(place)}, where rest has {rest:g}"
 
 
+def _integrals(problem: BoundaryProblem) -> Iterator[str]:
+    """Some integrals are the same for all paths between the ends, or follow from others.
+
+    Their variations are ∫ (∂g/∂x - d/dt ∂g/∂v)·δx dt, and ∂g/∂v·δx at free ends: these are evaluated at random places.
+    """
+    conditions = problem.numeric.integral_conditions
+    if conditions is None:
+        return
+    integrands, values = conditions
+    symbols, d, count = integrands.sx_in(), problem.dimension, len(values)
+    acceleration, g = ca.SX.sym("acceleration", d), integrands(*symbols)
+    pull, slope = (ca.densify(ca.jacobian(g, symbol)) for symbol in symbols[1:])
+    rate = ca.jtimes(ca.vec(slope), ca.vertcat(*symbols), ca.vertcat(1, symbols[2], acceleration))
+    free = [None in (problem.start[i], np.nan if problem.periodic else problem.end[i]) for i in range(d)]
+    changes = ca.horzcat(pull - ca.reshape(rate, count, d), slope @ ca.diag(ca.DM(free)))
+    terms = ca.fabs(pull) + ca.fabs(ca.reshape(rate, count, d)) + ca.fabs(slope)
+    variation = ca.Function("variation", [*symbols, acceleration], [changes, terms])
+    random, (first, last) = np.random.default_rng(0), problem.t_span
+    start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))
+    sizes = component_sizes(np.array([start, end]).T)
+    found, largest = [], np.full(count, TINY)
+    for _ in range(count + RANDOM_PLACES):
+        when, (x, v, a) = random.uniform(), random.normal(size=(3, d)) * sizes
+        x += start + when * (end - start)
+        row, size = (
+            np.array(m)
+            for m in variation(first + when * (last - first), x, v / (last - first), a / (last - first) ** 2)
+        )
+        if np.isfinite([row, np.tile(size, 2)]).all():
+            found.append(row * np.tile(sizes, 2))
+            largest = np.maximum(largest, np.max(size * sizes, axis=1))
+    if not found:
+        return
+    rank = np.linalg.matrix_rank(np.hstack(found) / largest[:, None], tol=EPS**0.5)
+    if rank < count:
+        yield (
+            f"integral_conditions are {count}, but only {rank} of the integrals can be given one by one: the "
+            "others are the same for all paths between these ends, or follow from them. Leave them out"
+        )
+
+
 STATEMENTS = {
     "start": vector,
     "end": vector_or_nothing,
     "parameters": parameters,
     "periodic": switch,
     "t_span": span,
+    "integral_conditions": integrals,
     "lagrangian": lagrangian,
     "breakpoints": times,
     "force": function("t x v", "x"),
@@ -139,7 +185,7 @@ STATEMENTS = {
     "end_conditions": function("x0 x1", "any"),
     "energy": optional(number),
 }
-RULES = _ends, _twice_given, _functions_of_ends, impossible_constraint, _energy
+RULES = _ends, _twice_given, _functions_of_ends, impossible_constraint, _energy, _integrals
 RULES_OF_VALUES = constraint_at_ends, _rest
 
 
@@ -167,6 +213,9 @@ class BoundaryProblem(Problem):
         the position is free: springs, costs of the end
     end_conditions : callable (x_0, x_N) -> values that are zero: an end on a curve, an end that is the start rotated.
         The momenta that go with them, across the curve, follow (transversality)
+    integral_conditions : (g, values), a callable (t, x, v) -> k integrands and what their integrals ∫ g dt are (one
+        number alone, where there is one).  Each has a multiplier, `Trajectory.integral_multipliers`, and the path is
+        one of L + μ·g, of which also its momenta, its energy and its Morse index among paths of these integrals are
     energy : a number, the energy p·v - L of the path; it frees the duration, and L must not depend on time.  A periodic
         path of given energy could begin anywhere on its orbit: it begins in the plane through the start of the guess
         and across its velocity there
@@ -199,6 +248,7 @@ class BoundaryProblem(Problem):
     end_momentum: Given
     end_action: ca.Function | None
     end_conditions: ca.Function | None
+    integral_conditions: tuple[ca.Function, tuple[float, ...]] | None
     energy: float | None
     breakpoints: tuple[float, ...]
     statements, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, RULES_OF_VALUES, (singular_mass,)
@@ -220,6 +270,7 @@ class BoundaryProblem(Problem):
         end_momentum: Values | None = None,
         end_action: Traceable | None = None,
         end_conditions: Traceable | None = None,
+        integral_conditions: tuple[Traceable, Values] | None = None,
         energy: float | None = None,
         breakpoints: Sequence[float] = (),
     ) -> None:
@@ -241,4 +292,23 @@ class BoundaryProblem(Problem):
     @property
     def autonomous(self) -> bool:
         """Whether the energy is conserved: no force acts, and neither Lagrangian nor constraint depends on time."""
-        return self.force is None and not depends_on_time(self.lagrangian, self.constraint)
+        return self.force is None and not depends_on_time(self.with_multipliers().lagrangian, self.constraint)
+
+    @property
+    def integral_values(self) -> tuple[float, ...] | None:
+        """What the integrals of `integral_conditions` are; None where there are none."""
+        return None if self.integral_conditions is None else self.integral_conditions[1]
+
+    def with_multipliers(self, multipliers: Sequence[float] | None = None) -> BoundaryProblem:
+        """The problem of L + μ·g in place of integral conditions; μ, by default any numbers, end its parameters."""
+        if self.integral_conditions is None:
+            return self
+        integrands, values = self.integral_conditions
+        mu = np.cos(1.0 + np.arange(len(values))) if multipliers is None else multipliers
+        own, count = self.parameters or (), len(values)
+        functions = {
+            name: with_multipliers(function, len(own), count, integrands if name == "lagrangian" else None)
+            for name, function in vars(self).items()
+            if isinstance(function, ca.Function)
+        }
+        return with_values(self, **functions, parameters=(*own, *map(float, mu)), integral_conditions=None)

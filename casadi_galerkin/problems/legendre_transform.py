@@ -81,6 +81,7 @@ def singular_mass(problem: Any) -> Iterator[str]:
     Only components with an equation of motion have a mass.  Under a constraint it may be singular, because components
     that the constraint determines need no mass.
     """
+    problem = problem.with_multipliers()
     count, (first, last) = getattr(problem, "mechanical", problem.dimension), problem.t_span
     if problem.constraint is not None or not count:
         return

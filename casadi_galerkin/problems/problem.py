@@ -17,7 +17,7 @@ from casadi_galerkin.problems.statements import Reader, Rule, check, read
 
 ENDS = ("start", "end")
 END_MOTIONS = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
-VARIED = (*ENDS, "parameters", *END_MOTIONS, "energy")  # what can be varied, where a problem has it
+VARIED = (*ENDS, "parameters", *END_MOTIONS, "integral_values", "energy")  # what can be varied, where a problem has it
 
 
 class Problem:
@@ -60,11 +60,11 @@ class Problem:
     def __repr__(self) -> str:
         """State the problem; its callables by their names alone."""
         stated = {name: getattr(self, name) for name in self.statements if name not in ("lagrangian", "t_span")}
-        said = [
-            name if callable(value) or value is True else f"{name} {shown(value)}"
-            for name, value in stated.items()
-            if is_given(value) and "bounds" not in name
-        ]
+        said = []
+        for name, value in stated.items():
+            if is_given(value) and "bounds" not in name:
+                numbers = value[1:] if isinstance(value, tuple) and callable(value[0]) else value
+                said.append(name if callable(value) or value is True else f"{name} {shown(numbers)}")
         return f"{type(self).__name__} of {counted(self.dimension, 'component')} on {self.t_span}: {', '.join(said)}"
 
     @property
@@ -85,6 +85,10 @@ class Problem:
 
         return with_values(self, **{name: put(value) for name, value in vars(self).items()} | {"parameters": None})
 
+    def with_multipliers(self: Stated, _: Sequence[float] | None = None) -> Stated:
+        """The problem with multipliers in place of integral conditions, which most problems do not have."""
+        return self
+
     def varied(self: Stated, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> Stated:
         """Copy with other given values.
 
@@ -100,6 +104,8 @@ class Problem:
         if span != self.t_span:
             times_inside("breakpoints", self.breakpoints, span)
         values = {name: self._another(name, value) for name, value in changes.items() if value is not None}
+        if "integral_values" in values:
+            values["integral_conditions"] = vars(self)["integral_conditions"][0], values.pop("integral_values")
         other = with_values(self, t_span=span, **values)
         other._check_values()
         check(other, () if other.parameters == self.parameters else other.rules_of_masses)
@@ -114,7 +120,7 @@ class Problem:
             raise ValueError(f"the problem has no {name}, got {name}={value!r}")
         if isinstance(before, float):
             return finite(name, value)
-        if name == "parameters":
+        if name in ("parameters", "integral_values"):
             return numbers(name, value, len(before))
         given = components(name, value, len(before))
         if [a is None for a in given] != [a is None for a in before]:

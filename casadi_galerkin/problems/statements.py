@@ -104,8 +104,19 @@ def function(names: str, rows: Rows | str) -> Reader:
 
 def lagrangian(_: str, value: Any, made: Made) -> ca.Function:
     """L(t, x, v[, p]), which depends on every v[i] of a component with an equation of motion, and on no others."""
-    d = dimension(made)
-    return trace_lagrangian(value, lengths("t x v", made), d - made["rates"].numel_out(0) if "rates" in made else d)
+    count, conditions = dimension(made), made.get("integral_conditions")
+    count -= made["rates"].numel_out(0) if "rates" in made else 0
+    return trace_lagrangian(value, lengths("t x v", made), count, conditions and conditions[0])
+
+
+def integrals(name: str, value: Any, made: Made) -> tuple[ca.Function, tuple[float, ...]] | None:
+    """(g, values), a callable of t, x, v and the values of its integrals."""
+    if value is None:
+        return None
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise TypeError(f"{name} must be (g, values), a callable g and the values of its integrals, got {value!r}")
+    traced = trace(name, value[0], lengths("t x v", made), "any")
+    return traced, numbers(f"the values of {name}", value[1], traced.numel_out(0))
 
 
 def limited(names: str) -> Reader:

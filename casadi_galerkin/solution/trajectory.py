@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import casadi as ca
@@ -65,6 +65,7 @@ class Trajectory(Path):
     error_estimate : estimated relative error of x, at the joints and between them; None before `estimate_error`
     asked, asked_error : the quantity `of` that a solve to a tolerance was asked for, a number or an array, and its
         estimated error over the size of its largest entry; None where none was
+    integral_multipliers : (k,), μ of L + μ·g, of the problem's `integral_conditions`; of order `method.order`
 
     Examples
     --------
@@ -98,6 +99,7 @@ class Trajectory(Path):
     find_finer: Callable[[Trajectory], tuple[Trajectory, ...]] | None = None  # paths of a higher degree
     asked: np.ndarray | float | None = None
     asked_error: float | None = None
+    integral_multipliers: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -207,7 +209,12 @@ class Trajectory(Path):
     @cached_property
     def _indicators(self) -> tuple[np.ndarray, ...]:
         """The error indicators on every interval; (N,) each, the energy imbalance first."""
-        return error_indicators(self.problem, self.polynomial, self.momentum)
+        return error_indicators(self.motion, self.polynomial, self.momentum)
+
+    @property
+    def motion(self) -> Problem:
+        """The problem of L + μ·g with the multipliers of this path; without integral conditions `problem`."""
+        return self.problem.with_multipliers(self.integral_multipliers.tolist())
 
     @cached_property
     def morse_index(self) -> int | None:
@@ -268,7 +275,7 @@ class Trajectory(Path):
         if self.problem.constraint is None:
             raise ValueError("the problem has no constraint, so no multipliers")
         motion, times = (
-            motion_of(self.problem, with_parameters(self._force(), self.parameters)),
+            motion_of(self.motion, with_parameters(self._force(), self.parameters)),
             times_within(self.t, t),
         )
         flat = times.ravel()
@@ -381,7 +388,7 @@ class Trajectory(Path):
     @property
     def _lagrangian(self) -> ca.Function:
         """L(t, x, v) with the parameters inserted."""
-        return self.problem.numeric.lagrangian
+        return self.motion.numeric.lagrangian
 
     def _kind(self) -> str:
         """The kind of critical point, in words."""

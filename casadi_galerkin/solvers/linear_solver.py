@@ -16,7 +16,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
-from casadi_galerkin.problems.linear_equations import solve_scaled
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
 DEFECT_TOLERANCE = 1e-3  # accepted defect of a solution, over its right-hand side
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
@@ -68,21 +68,38 @@ class LinearSolver:
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """Solution of ∇²S Y = -B, refined once but where LDLᵀ has nothing to regularize."""
         if method != "ldl":
-            solve = self._bordered if self.numbering.free_duration else partial(solve_scaled, refined=True)
+            solve = (
+                self._bordered
+                if self.numbering.everywhere.start < self.numbering.free
+                else partial(solve_scaled, refined=True)
+            )
             return -solve(matrix, rhs, range(self.numbering.positions), method)
         regularized = self._regularized(matrix)
         y = -self._ldl.solve(regularized, rhs)
         return y - self._ldl.solve(regularized, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
 
     def _bordered(self, matrix: ca.MX, rhs: ca.MX, moving: range, method: str) -> ca.MX:
-        """Solution of ∇²S Y = B by elimination of a free duration, whose full row would make all factors of QR full."""
-        n = self.numbering.free - 1
-        column, row = ca.densify(matrix[:n, n]), matrix[n, :n]
-        sides = ca.horzcat(ca.densify(rhs[:n, :]), column)
-        solved = solve_scaled(matrix[:n, :n], sides, moving, method, refined=True)
-        y, response = solved[:, :-1], solved[:, -1]
-        last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
-        return ca.vertcat(y - ca.mtimes(response, last), last)
+        """Solution of ∇²S Y = B by elimination of unknowns that enter everywhere: their rows would fill QR's factors.
+
+        One refinement makes it accurate even where the rest of the matrix is singular up to rounding, as for modes (W.
+        Govaerts and J. D. Pryce, "Block elimination with one refinement solves bordered linear systems accurately",
+        BIT 30, 1990).
+        """
+        n = self.numbering.everywhere.start
+
+        def solved(rhs: ca.MX) -> ca.MX:
+            sides = ca.horzcat(ca.densify(rhs[:n, :]), ca.densify(matrix[:n, n:]))
+            y, response = ca.horzsplit(
+                solve_scaled(matrix[:n, :n], sides, moving, method, refined=True), [0, rhs.size2(), sides.size2()]
+            )
+            row = matrix[n:, :n]
+            last = ca.solve(
+                ca.densify(matrix[n:, n:] - ca.mtimes(row, response)), rhs[n:, :] - ca.mtimes(row, y), "qr", NO_CUTOFF
+            )
+            return ca.vertcat(y - ca.mtimes(response, last), last)
+
+        y = solved(rhs)
+        return y + solved(rhs - ca.mtimes(matrix, y)) if self.numbering.integrals else y
 
     def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
         """‖∇²S y + b‖₁ - DEFECT_TOLERANCE ‖b‖₁: the linear system is solved where this is at most zero."""
@@ -289,5 +306,5 @@ def of_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ..
 
 def linear_solver(functional: Functional) -> LinearSolver:
     """The linear algebra of a functional; the same for all that have no further terms and the same sparsity."""
-    plain = not (functional.terms or functional.numbering.free_duration)
+    plain = not functional.terms and functional.numbering.everywhere.start == functional.numbering.free
     return of_pattern(*functional.pattern_key) if plain else LinearSolver(functional.numbering, functional.sparsity)

@@ -296,6 +296,19 @@ class Linearization:
                 y[:] = np.nan
         return list(y.reshape(columns, -1))
 
+    def least_squares(self, unknowns: np.ndarray, data: Data, multipliers: np.ndarray) -> np.ndarray:
+        """The multipliers, by their numbers, which are zero among `unknowns`, that leave the least of ∇S.
+
+        Virtual work is measured, ∇S times the sizes of the unknowns.  With G their rows of ∇²S, and W diagonal, these
+        are the multipliers of W y + Gᵀμ = -∇S, G y = 0.
+        """
+        rhs, sizes = self.relinearize(unknowns, data), self.stationarity.sizes(unknowns, data)
+        rhs[multipliers] = 0.0
+        row, column = (np.array(index) for index in self.stationarity.linear_solver.sparsity.get_triplet())
+        measured = np.isfinite(sizes[row]) & np.isfinite(sizes[column])
+        self.matrix[measured] = np.where(row == column, sizes[row] ** -2.0, 0.0)[measured]
+        return self.solve(rhs)[0][multipliers]
+
     def refined(
         self, unknowns: np.ndarray, data: Data, rhs: Iterable[np.ndarray], solutions: list[np.ndarray]
     ) -> list[np.ndarray]:

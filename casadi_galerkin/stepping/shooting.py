@@ -137,7 +137,9 @@ def _shot(problem: BoundaryProblem, guess: Trajectory | None, method: Galerkin, 
 
 
 def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
-    """Refuse a guess that shooting cannot start from."""
+    """Refuse a guess that shooting cannot start from, and integrals, which no step knows."""
+    if problem.integral_conditions is not None:
+        raise ValueError("integral_conditions hold along a whole path: take cg.solve, not steps from its start")
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
         raise TypeError(f"guess must be a Trajectory of {counted(problem.dimension, 'component')}, got {guess!r}")
 

@@ -79,7 +79,7 @@ class ReferenceSolution:
     def __init__(self, path: Trajectory, measure: Measure | None, given: Reference | None = None) -> None:
         self._path, self._measure = path, measure
         self._at = path if given is None else partial(sampled, "the reference", given, dimension=len(path.x))
-        self._lagrangian = path.problem.numeric.lagrangian
+        self._lagrangian = path.motion.numeric.lagrangian
         calculus = DiscreteCalculus(path.method, path.t)
         values, kinetic = self._terms(path, calculus.quadrature_times)
         self._energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
