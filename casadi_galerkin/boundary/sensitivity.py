@@ -89,6 +89,7 @@ class Sensitivity:
     t : (N + 1,), joints
     parameters : (d, N + 1, number of parameters), ∂x_i/∂p_j, in units of x[i] over units of p[j]
     start, end : (d, N + 1, number of components that the problem fixes there), in units of x over units of x
+    integral_values : (d, N + 1, number of `integral_conditions`)
 
     Examples
     --------
@@ -103,12 +104,13 @@ class Sensitivity:
     parameters: np.ndarray
     start: np.ndarray
     end: np.ndarray
+    integral_values: np.ndarray
 
     def __repr__(self) -> str:
         """Say what was differentiated by what, and the largest derivative."""
         d, joints, _ = self.parameters.shape
         lines = [f"Sensitivity of {counted(d, 'component')} at {joints} joints"]
-        for name in ("parameters", "start", "end"):
+        for name in ("parameters", "start", "end", "integral_values"):
             values = getattr(self, name)
             if values.size:
                 count = counted(values.shape[2], "value")
@@ -156,17 +158,19 @@ def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     numbering, symbols = transcription.numbering, transcription.functional.symbols
     data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
     matrix, gradient, _ = transcription.functional.function("derivatives").call(list(symbols.values()))
-    solutions = transcription.stationarity.linear_solver.solutions("qr", data.numel(), transposed=False)
-    by_data = ca.densify(ca.jacobian(gradient, data))
+    by_values = -ca.DM.eye(numbering.free)[:, numbering.everywhere][:, : numbering.integrals]
+    by_data = ca.densify(ca.horzcat(ca.jacobian(gradient, data), by_values))
+    solutions = transcription.stationarity.linear_solver.solutions("qr", by_data.size2(), transposed=False)
     change = solutions(matrix, by_data)[0]
     change += solutions(matrix, ca.mac(matrix, change, by_data))[0]  # iterative refinement, for rows of different units
     unknowns, given = transcription.on_path(path.polynomial)
     derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call([unknowns, *given])[0])
-    fixed = np.eye(numbering.size - numbering.free, data.numel())
-    by_u = np.concatenate((derivative.reshape(numbering.free, data.numel()), fixed))
+    fixed = np.eye(numbering.size - numbering.free, by_data.size2())
+    by_u = np.concatenate((derivative.reshape(numbering.free, by_data.size2()), fixed))
     x = by_u[numbering.of_nodes[:: path.method.degree]].transpose(1, 0, 2)  # (d, N + 1, data)
     start, end = len(numbering.fixed_start), len(numbering.fixed_start) + len(numbering.fixed_end)
-    return Sensitivity(path.t, x[:, :, end:], x[:, :, :start], x[:, :, start:end])
+    parameters = data.numel()
+    return Sensitivity(path.t, x[..., end:parameters], x[..., :start], x[..., start:end], x[..., parameters:])
 
 
 def _refuse_energy(name: str, problem: BoundaryProblem) -> None:
