@@ -37,6 +37,7 @@ from casadi_galerkin.solution.errors import ConjugatePointError as ConjugatePoin
 from casadi_galerkin.solution.errors import ConvergenceError as ConvergenceError
 from casadi_galerkin.solution.errors import LimitReached as LimitReached
 from casadi_galerkin.solution.limits import Limits as Limits
+from casadi_galerkin.solution.path import load as load
 from casadi_galerkin.solution.plotting import panels as panels
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
 from casadi_galerkin.solvers.solver import Solver as Solver
@@ -50,9 +51,9 @@ from casadi_galerkin.stepping.geometry import geometry as geometry
 from casadi_galerkin.stepping.shooting import shoot as shoot
 from casadi_galerkin.studies.comparison import Comparison as Comparison
 from casadi_galerkin.studies.comparison import compare as compare
-from casadi_galerkin.studies.parallel import CutShort as CutShort
 from casadi_galerkin.studies.sweep import Sweep as Sweep
 from casadi_galerkin.studies.sweep import sweep as sweep
+from casadi_galerkin.studies.sweep_file import CutShort as CutShort
 from casadi_galerkin.studies.trade import trade as trade
 from casadi_galerkin.studies.trade_table import Row as Row
 from casadi_galerkin.studies.trade_table import Trade as Trade

@@ -11,7 +11,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import checked_index, counted, finite
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.plotting import plot_branches
+from casadi_galerkin.solution.plotting import Pictured, plot_branches
 from casadi_galerkin.solution.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class BranchPoint:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Branch:
+class Branch(Pictured):
     """Critical paths along a line of parameters.
 
     Attributes
@@ -153,7 +153,7 @@ class Branch:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Diagram:
+class Diagram(Pictured):
     """The branches that are connected with a path by branch points.
 
     Attributes

@@ -99,6 +99,10 @@ class Galerkin:
         points = np.array(self.quadrature.points)
         return Element(nodes, points, np.array(self.quadrature.weights), *lagrange_basis(nodes, points))
 
+    def __getstate__(self) -> dict[str, object]:
+        """The same for equal methods, whether the element has been asked for or not."""
+        return {"degree": self.degree, "control_points": self.control_points, "quadrature": self.quadrature}
+
     def __repr__(self) -> str:
         """Name the method."""
         return f"Galerkin({self})"

@@ -11,6 +11,7 @@ from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times
+from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, check_finite_values, guess_values, meeting_ends, sampled
 
@@ -135,7 +136,10 @@ def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus,
         return np.full((chain.intervals, len(chain.control_times), chain.controls), first)
     name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)
     shape = (chain.controls, len(times))
-    values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
+    if isinstance(guess, ControlPath):  # stretched as a path is
+        values = guess(np.interp(times, calculus.mesh[[0, -1]], guess.mesh[[0, -1]]))
+    else:
+        values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
     if values.shape != shape:
         where = "in the intervals" if problem.hold else "at the quadrature points"
         raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")

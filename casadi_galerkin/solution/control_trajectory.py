@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted, spanned
@@ -18,7 +19,8 @@ from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.export import by_component
+from casadi_galerkin.solution.export import Columns, by_component
+from casadi_galerkin.solution.path import of_parts
 from casadi_galerkin.solution.plotting import FIGURE_SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
@@ -206,13 +208,20 @@ class ControlTrajectory(Trajectory):
             return sizes
         return np.where(large | (sizes > REMAINDER_FACTOR * self._remaining_error.components), sizes, 1.0)
 
-    def table(self) -> dict[str, np.ndarray]:
-        """The columns of a Trajectory, and controls and costate at the joints, after a jump there, by name."""
+    def table(self, times: ArrayLike | None = None) -> Columns:
+        """The columns of a Trajectory, and controls and costate, after a jump there, by name."""
+        columns = super().table(times)
         return {
-            **super().table(),
-            **by_component("control", self.control(self.t)),
-            **by_component("costate", self.costate(self.t)),
+            **columns,
+            **by_component("control", self.control(columns["t"])),
+            **by_component("costate", self.costate(columns["t"])),
         }
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """What `load` makes path and controls of."""
+        return super()._arrays() | of_parts(
+            "control", vars(self.control), ("mesh", "points", "values", "rule", "bounds")
+        )
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.

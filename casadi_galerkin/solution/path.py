@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted, finite, real_array, spanned, whole, whole_number
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.solution.export import Table, by_component
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_within
+from casadi_galerkin.solution.control_path import ControlPath
+from casadi_galerkin.solution.export import (
+    Columns,
+    File,
+    Table,
+    as_lists,
+    by_component,
+    file_path,
+    write_csv,
+    write_npz,
+)
 from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, plot_poses
 
 if TYPE_CHECKING:
@@ -49,9 +59,32 @@ class Path(Table, Pictured):
         """Sizes of the components, to which errors are relative, (d,): their largest values; one below 1e-150."""
         return self.polynomial.sizes
 
-    def table(self) -> dict[str, np.ndarray]:
-        """Times and positions at the joints, after a jump there, by name."""
-        return {"t": self.t, **by_component("x", self.x)}
+    def table(self, times: ArrayLike | None = None) -> Columns:
+        """Times and positions, after a jump there, by name.
+
+        Parameters
+        ----------
+        times : (K,); default all joints, and between two of them four times as many as the degree, enough to draw
+        """
+        when = self.polynomial.times(sampling_parts(self.polynomial.degree)[:-1]) if times is None else times
+        t = np.atleast_1d(times_within(self.t, when)).ravel()
+        return {"t": t, **by_component("x", self(t))}
+
+    def to_dict(self, times: ArrayLike | None = None) -> dict[str, list[Any]]:
+        """The `table` at times (K,) as lists of Python's own numbers, such as JSON and pandas take."""
+        return as_lists(self.table(times))
+
+    def to_csv(self, file: File, times: ArrayLike | None = None) -> None:
+        """Write the `table` at times (K,) to a file of comma-separated values, with all digits."""
+        write_csv(file, self.table(times))
+
+    def to_npz(self, file: File, times: ArrayLike | None = None) -> None:
+        """Write the `table` at times (K,) to an archive of arrays by name, and what `load` makes the path of."""
+        write_npz(file, self.table(times) | self._arrays())
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """What `load` makes the path of."""
+        return of_parts("polynomial", vars(self.polynomial), ("mesh", "nodes", "values", "arrivals"))
 
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
         """Position, or derivative of order `nu`, at times t; shape (d,) + t.shape.
@@ -146,3 +179,50 @@ class Path(Table, Pictured):
         """State the size and the time of the path."""
         size, intervals = counted(len(self.x), "component"), counted(len(self.t) - 1, "interval")
         return f"Path of {size} on {spanned(self.t)}, degree {self.polynomial.degree} on {intervals}; not an answer"
+
+
+def load(file: File) -> Path | tuple[Path, ControlPath]:
+    """Read the path that `to_npz` wrote, as a guess for another solve.
+
+    It is no answer, and has not been verified anew.  Its duration, where this was free, is to be stated as the `t_span`
+    of the next problem.
+
+    Parameters
+    ----------
+    file : the archive, a string or a Path
+
+    Returns
+    -------
+    Path, which is called, drawn and given as `guess`; of a ControlTrajectory the pair of it and its controls
+
+    Raises
+    ------
+    TypeError, ValueError
+        for what is no path of a file, and for a file without a path
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg, os, tempfile
+    >>> fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 8 * x[0], (0, 1), start=[0.0], end=[0.0])
+    >>> file = os.path.join(tempfile.mkdtemp(), "fall.npz")
+    >>> cg.solve(fall, cg.Galerkin(degree=2), intervals=2).to_npz(file)
+    >>> cg.load(file)
+    Path of 1 component on [0, 1], degree 2 on 2 intervals; not an answer
+    >>> cg.solve(fall, tol=1e-6, guess=cg.load(file)).iterations
+    1
+    """
+    with np.load(file_path(file)) as archive:
+        arrays: dict[str, dict[str, np.ndarray]] = {"polynomial": {}, "control": {}}
+        for name in archive:
+            kind, _, part = name.partition(".")
+            if kind in arrays and part:
+                arrays[kind][part] = archive[name]
+    if not arrays["polynomial"]:
+        raise ValueError(f"{file} holds no path; only to_npz of a path writes one, and not that of other results")
+    path = Path(PiecewisePolynomial(**arrays["polynomial"]))
+    return (path, ControlPath(**arrays["control"])) if arrays["control"] else path
+
+
+def of_parts(kind: str, given: Mapping[str, Any], names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Arrays that are not None, by names such as "polynomial.mesh"."""
+    return {f"{kind}.{name}": given[name] for name in names if given[name] is not None}

@@ -128,7 +128,7 @@ def plot_family(
     for i, (name, times, values) in enumerate(lines):
         axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
     axes.set(xlabel=time, ylabel=heading)
-    if len(lines) <= len(COLORS):
+    if 0 < len(lines) <= len(COLORS):
         legend_below(axes)
     return axes
 

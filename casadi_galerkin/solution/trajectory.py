@@ -25,7 +25,7 @@ from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.problems.velocities import velocities
 from casadi_galerkin.solution.error_indicators import error_indicators
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.export import by_component
+from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_plane
 from casadi_galerkin.solution.quantity import Quantity, check_quantity, largest_difference, quantity, relative
@@ -291,13 +291,32 @@ class Trajectory(Path):
     @cached_property
     def energy(self) -> np.ndarray:
         """Energy p·v - L at the joints, from positions and momenta; (N + 1,)."""
-        (lagrangian,) = at_places(self._lagrangian, self.t, self.x, self.velocity)
-        return np.sum(self.momentum * self.velocity, axis=0) - lagrangian[0]
+        return self._energy(self.t, self.x, self.momentum, self.velocity)
 
-    def table(self) -> dict[str, np.ndarray]:
-        """Times, positions, velocities, momenta and energy at the joints, by name."""
-        motion = by_component("velocity", self.velocity) | by_component("momentum", self.momentum)
-        return {**super().table(), **motion, "energy": self.energy}
+    def _energy(self, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Energies at K times, from values (d, K)."""
+        (lagrangian,) = at_places(self._lagrangian, t, x, velocity)
+        return np.sum(momentum * velocity, axis=0) - lagrangian[0]
+
+    def table(self, times: ArrayLike | None = None) -> Columns:
+        """Times, positions, velocities, momenta and energy, by name.
+
+        At the joints they are those of the discrete Legendre transform, of order `method.order`; between them those of
+        the polynomial, which are of order m only.
+
+        Parameters
+        ----------
+        times : (K,); default all joints, and between two of them four times as many as the degree, enough to draw
+        """
+        columns = super().table(times)
+        t = columns["t"]
+        x, joints = self(t), np.minimum(np.searchsorted(self.t, t), len(self.t) - 1)
+        velocity, at_joint = self(t, 1), self.t[joints] == t
+        momentum, _ = at_places(legendre_transform(self._lagrangian), t, x, velocity)
+        velocity = np.where(at_joint, self.velocity[:, joints], velocity)
+        momentum = np.where(at_joint, self.momentum[:, joints], momentum)
+        motion = by_component("velocity", velocity) | by_component("momentum", momentum)
+        return {**columns, **motion, "energy": self._energy(t, x, momentum, velocity)}
 
     def _title(self) -> str:
         index = "" if self.morse_index is None else f", Morse index {self.morse_index}"

@@ -36,6 +36,7 @@ from casadi_galerkin.problems.problem import VARIED, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.studies.sweep_file import CutShort, SweepFile
 
 CHUNKS = 64  # of variations without neighbors: enough to keep workers busy, few enough that sending costs little
 LEAST_CHUNK = 4  # variations in a chunk of neighbors; larger than √n / 2 they led to another branch in a porkchop plot
@@ -47,17 +48,6 @@ Solve = Callable[[Variation, Sequence[Known]], Trajectory]  # of a variation, fr
 Chunk = tuple[Sequence[Variation], Sequence[Known]]  # what is solved one after the other, and paths to start from
 Run = Callable[[list[Chunk]], Iterable[Iterable[Answer]]]
 Stated = TypeVar("Stated", BoundaryProblem, ControlProblem, BoundaryProblem | ControlProblem)
-
-
-class CutShort(ConvergenceError):
-    """A solve that something else ended: its worker failed, or the sweep was interrupted.  A path may well exist.
-
-    Examples
-    --------
-    >>> import casadi_galerkin as cg
-    >>> issubclass(cg.CutShort, cg.ConvergenceError)
-    True
-    """
 
 
 def varied(problem: Stated, variation: Variation) -> Stated:
@@ -202,7 +192,10 @@ def by_executor(executor: Executor, pickled: bytes, chunks: list[Chunk]) -> Iter
 
 
 def answered(
-    run: Run, variations: Sequence[Variation], problems: Sequence[BoundaryProblem] | None
+    run: Run,
+    variations: Sequence[Variation],
+    problems: Sequence[BoundaryProblem] | None,
+    file: SweepFile | None,
 ) -> Iterator[tuple[int, Answer]]:
     """Numbers of variations and their answers, as they come.
 
@@ -211,36 +204,52 @@ def answered(
     run : solves chunks, `here` or `by_executor`
     variations : in their order
     problems : what they state, where each is solved from its neighbors; else None
+    file : which has the answers of some chunks, and keeps those of the others; or None
     """
-
-    def solved(numbered: list[tuple[list[int], list[Known]]]) -> Iterator[tuple[int, Answer]]:
-        chunks: list[Chunk] = [([variations[i] for i in numbers], known) for numbers, known in numbered]
-        for (numbers, _), answers in zip(numbered, run(chunks), strict=True):
-            yield from zip(numbers, answers, strict=True)
-
-    count = len(variations)
-    if problems is None:
+    solved, count = partial(_in_chunks, run, variations, file), len(variations)
+    if problems is None or not count:
         size = -(-count // CHUNKS) or 1
         yield from solved([(list(range(first, min(first + size, count))), []) for first in range(0, count, size)])
-    elif count:
-        values = np.array([data_vector(problem) for problem in problems])
-        places, centers = (
-            values / or_one(np.ptp(values, axis=0)),
-            np.arange(0, count, max(LEAST_CHUNK, math.isqrt(count) // 2)),
-        )
-        apart = np.array([np.sum((places - places[center]) ** 2, axis=1) for center in centers])
-        found = dict[int, Answer]()
-        order, away = list[int](), apart[0, centers]  # next always the center that is nearest to one before
-        for _ in centers:
-            order.append(int(np.argmin(away)))
-            away = np.minimum(away, apart[order[-1], centers])
-            away[order] = np.inf
-        for i, answer in solved([(centers[order].tolist(), [])]):
-            found[i] = answer
+        return
+    values = np.array([data_vector(problem) for problem in problems])
+    places = values / or_one(np.ptp(values, axis=0))
+    centers = np.arange(0, count, max(LEAST_CHUNK, math.isqrt(count) // 2))
+    apart = np.array([np.sum((places - places[center]) ** 2, axis=1) for center in centers])
+    order, away = list[int](), apart[0, centers]  # next always the center that is nearest to one before
+    for _ in centers:
+        order.append(int(np.argmin(away)))
+        away = np.minimum(away, apart[order[-1], centers])
+        away[order] = np.inf
+    found = dict[int, Answer]()
+    for i, answer in solved([(centers[order].tolist(), [])]):
+        found[i] = answer
+        yield i, answer
+    belongs, chunks = np.argmin(apart, axis=0), []
+    for k, center in enumerate(centers):
+        own = np.setdiff1d(np.flatnonzero(belongs == k), centers)
+        nearby = _known(found[i] for i in centers[np.argsort(apart[:, center], kind="stable")].tolist())
+        chunks.append((own[np.argsort(apart[k, own], kind="stable")].tolist(), nearby[:1]))
+    yield from solved(chunks)
+
+
+def _in_chunks(
+    run: Run,
+    variations: Sequence[Variation],
+    file: SweepFile | None,
+    chunks: Sequence[tuple[list[int], list[Known]]],
+) -> Iterator[tuple[int, Answer]]:
+    """Answers of chunks, given by the numbers of their variations: those that the file has, and then the others."""
+    fresh = []
+    for numbers, known in chunks:
+        kept = file.get(numbers) if file else None
+        if kept is None:
+            fresh.append((numbers, ([variations[i] for i in numbers], known)))
+        else:
+            yield from zip(numbers, kept, strict=True)
+    for (numbers, _), answers in zip(fresh, run([chunk for _, chunk in fresh]), strict=True):
+        found = []
+        for i, answer in zip(numbers, answers, strict=True):
+            found.append(answer)
             yield i, answer
-        belongs, chunks = np.argmin(apart, axis=0), []
-        for k, center in enumerate(centers):
-            own = np.setdiff1d(np.flatnonzero(belongs == k), centers)
-            nearby = _known(found[i] for i in centers[np.argsort(apart[:, center], kind="stable")].tolist())
-            chunks.append((own[np.argsort(apart[k, own], kind="stable")].tolist(), nearby[:1]))
-        yield from solved(chunks)
+        if file:
+            file.keep(numbers, found)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,17 +16,17 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.neighboring_problems import jumps
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import checked_index, counted
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import VARIED, check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.export import Table, by_component
+from casadi_galerkin.solution.export import Columns, File, Table, by_component
+from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.studies.parallel import (
     Answer,
-    CutShort,
     Run,
     Stated,
     Variation,
@@ -37,12 +38,16 @@ from casadi_galerkin.studies.parallel import (
     solver_of,
     varied,
 )
+from casadi_galerkin.studies.sweep_file import CutShort, SweepFile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FIELDS = (*VARIED, "t_span", "guess")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Sweep(Table):
+class Sweep(Table, Pictured):
     """What became of every variation, in the order of the variations.
 
     Attributes
@@ -109,7 +114,7 @@ class Sweep(Table):
             raise ValueError("only control problems have a cost; of boundary problems there is the action")
         return self._stacked("cost")
 
-    def table(self) -> dict[str, np.ndarray]:
+    def table(self) -> Columns:
         """A row for each variation: why it failed, or an empty word; parameters, action, cost, duration, both ends.
 
         The parameters of one that failed are those that it states.
@@ -127,12 +132,30 @@ class Sweep(Table):
 
         return {
             "failure": np.array([str(failures.get(i, "")) for i in range(len(self))]),
-            **by_component("p", parameters.T),
+            **by_component("parameters", parameters.T),
             **{name: self._rows(attrgetter(name)) for name in names},
             "duration": self._rows(lambda path: path.t[-1] - path.t[0]),
             **ends("x"),
             **ends("momentum"),
         }
+
+    def plot(
+        self, component: int = 0, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t"
+    ) -> Axes:
+        """Draw one component of all answers into one picture, in the order of the variations; returns the axes.
+
+        Parameters
+        ----------
+        component : which, from 0 to d - 1
+        axes : Matplotlib axes to draw into; default a new figure
+        labels : name of the component with its unit
+        time : name of the time with its unit
+        """
+        lines = []
+        for i, path in self._paths.items():
+            times, values = path._line()
+            lines.append((f"variation {i}", times, values[checked_index("component", component, len(values))]))
+        return plot_family(lines, axes, f"x[{component}]" if labels is None else labels, time)
 
     @cached_property
     def jumps(self) -> dict[int, int]:
@@ -195,6 +218,7 @@ def sweep(
     *,
     tol: float | None = None,
     executor: Executor | None = None,
+    file: File | None = None,
 ) -> Sweep:
     """Solve many variations of one problem; in a terminal or a notebook a progress bar appears where it lasts.
 
@@ -214,6 +238,9 @@ def sweep(
         problem are refined one by one, each from its own guess
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: the solves of one process run one after the other
+    file : name of a file in which answers are kept while they come, chunk by chunk, some 64 in all; the same call finds
+        them there, and solves only what is left.  Each process needs a file of its own.  It is a pickle: open none that
+        you do not trust
 
     Returns
     -------
@@ -222,8 +249,8 @@ def sweep(
     Raises
     ------
     TypeError, ValueError
-        for input that does not fit, before anything is solved.  A variation that cannot be solved raises nothing: its
-        ConvergenceError, or whatever its guess raised, is kept in its place
+        for input that does not fit, and for a file of another sweep, before anything is solved.  A variation that
+        cannot be solved raises nothing: its ConvergenceError, or whatever its guess raised, is kept in its place
 
     Examples
     --------
@@ -246,14 +273,22 @@ def sweep(
     checked, problems = [variation for variation, _ in given], tuple(other for _, other in given)
     arguments = (problem, method, intervals, tol)
     run: Run = partial(here, solver_of(*arguments))  # refuses here what would fail in every worker
-    if executor is not None:
-        run = partial(by_executor, executor, picklable_problem(*arguments))
-        for i, variation in enumerate(checked):
+    kept = None
+    if executor is not None or file is not None:
+        written = picklable_problem(*arguments)
+        guesses = [
             picklable(f"the guess of variation {i}", variation.get("guess"), "give an array or a module's function")
+            for i, variation in enumerate(checked)
+        ]
+        if executor is not None:
+            run = partial(by_executor, executor, written)
+        if file is not None:
+            stated = repr([{**variation, "guess": None} for variation in checked]).encode()
+            kept = SweepFile(file, written, b"".join([stated, *guesses]))
     neighbors = [other for other in problems if isinstance(other, BoundaryProblem)] if tol is not None else []
     answers = dict[int, Answer]()
     with progress("sweep", len(checked)) as advance, suppress(KeyboardInterrupt):
-        for i, answer in answered(run, checked, neighbors or None):
+        for i, answer in answered(run, checked, neighbors or None, kept):
             answers[i] = answer
             advance(1)
     cut_short = CutShort("the sweep was interrupted before this variation was solved")

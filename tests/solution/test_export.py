@@ -5,18 +5,22 @@ import io
 import json
 from functools import cache
 
+import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator
 from scenes import BY_NAME, oscillator_problem
 
 import casadi_galerkin as cg
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.solution.path import Path
 
 
 @cache
 def answers():
     """One of each kind, with the columns that it has."""
     orbit, moved = BY_NAME["Lambert"].solve(), cg.solve(double_integrator(), cg.Galerkin(3), 4)
+    stepped = cg.solve(cg.InitialProblem(oscillator_problem().lagrangian, (0, 1), [0.0], velocity=[1.0]), tol=1e-6)
     places = [f"{name}[{i}]" for name in ("x", "velocity", "momentum") for i in range(3)]
     plain = ["t", "x[0]", "velocity[0]", "momentum[0]", "energy"]
     ends = [f"{end}_{name}[0]" for name in ("x", "momentum") for end in ("start", "end")]
@@ -30,11 +34,12 @@ def answers():
         (moved, [*plain, "control[0]", "costate[0]"]),
         (cg.compare(oscillator_problem(), cg.Galerkin(3), 4), ["t", "stepped", "shooting"]),
         (swept, ["failure", "action", "duration", *ends]),
+        (stepped, plain),
         (traded, ["way", "method", "degree", "intervals", *costs, "failure"]),
     ]
 
 
-@pytest.fixture(scope="module", params=range(5), ids=["trajectory", "controls", "comparison", "sweep", "trade"])
+@pytest.fixture(scope="module", params=range(6), ids=["global", "controls", "comparison", "sweep", "steps", "trade"])
 def answer(request):
     return answers()[request.param]
 
@@ -54,7 +59,7 @@ def test_files_give_back_every_digit(answer, tmp_path):
     with (tmp_path / "kept.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     with np.load(tmp_path / "kept.npz") as archive:
-        assert list(archive) == names
+        assert [name for name in archive if "." not in name] == names
         for name, column in kept.table().items():
             np.testing.assert_array_equal(archive[name], column)
             np.testing.assert_array_equal(np.array([row[name] for row in rows]).astype(column.dtype), column)
@@ -68,13 +73,106 @@ def test_what_is_no_path_of_a_file_is_refused(file):
             write(file)
 
 
-def test_columns_are_the_attributes_at_the_joints():
+def test_columns_at_the_joints_are_the_attributes():
     path = cg.solve(double_integrator(), cg.Galerkin(3), 4)
-    table = path.table()
+    table = path.table(path.t)
     for name in ("x", "velocity", "momentum"):
         np.testing.assert_array_equal(table[f"{name}[0]"], getattr(path, name)[0])
+    np.testing.assert_array_equal(table["energy"], path.energy)
     np.testing.assert_array_equal(table["control[0]"], path.control(path.t)[0])
     np.testing.assert_array_equal(table["costate[0]"], path.costate(path.t)[0])
+
+
+def swing(t, x, v):
+    return v[0] ** 2 / 2 + ca.cos(x[0])
+
+
+@pytest.mark.parametrize("kind", ["boundary", "steps"])
+def test_columns_at_any_time_keep_the_accuracy_of_the_path(kind):
+    of_kind = {
+        "boundary": cg.BoundaryProblem(swing, (0, 4), [0.0], [1.0]),
+        "steps": cg.InitialProblem(swing, (0, 4), [0.0], velocity=[1.5]),
+    }
+    path, times = cg.solve(of_kind[kind], tol=1e-10), [0.3, 3.9, 1.1]
+    table = path.to_dict(times)
+    assert table["t"] == times
+    np.testing.assert_array_equal(table["x[0]"], path(times)[0])
+    np.testing.assert_array_equal(table["velocity[0]"], path(times, 1)[0])
+    np.testing.assert_array_equal(table["momentum[0]"], table["velocity[0]"])  # of unit mass
+    np.testing.assert_allclose(table["energy"], path.energy[0], rtol=1e-7)
+
+
+def test_without_times_there_are_enough_to_draw_and_all_joints():
+    path = cg.solve(cg.BoundaryProblem(swing, (0, 4), [0.0], [1.0]), tol=1e-10)
+    table = path.table()
+    assert set(path.t) <= set(table["t"])
+    assert np.all(np.diff(table["t"]) > 0)
+    drawn = np.interp(path.fine_times, table["t"], table["x[0]"])
+    assert np.max(np.abs(drawn - path(path.fine_times)[0])) < 2e-3 * path.sizes[0]
+
+
+def test_one_time_is_one_row_and_times_outside_are_refused():
+    path = cg.solve(double_integrator(), cg.Galerkin(3), 4)
+    assert path.to_dict(0.5)["x[0]"] == pytest.approx([0.5])
+    for write in (path.table, path.to_dict, lambda times: path.to_csv("none.csv", times)):
+        with pytest.raises(ValueError, match=r"times must lie within \[0.0, 1.0\], got \[2.0\]"):
+            write([2.0])
+
+
+def test_a_last_path_of_a_failure_is_written_too(tmp_path):
+    path = cg.solve(double_integrator(), cg.Galerkin(3), 4)
+    Path(path.polynomial).to_csv(tmp_path / "last.csv", times=[0.0, 1.0])
+    assert (tmp_path / "last.csv").read_text().splitlines()[0] == "t,x[0]"
+
+
+def test_a_saved_path_is_the_guess_of_a_next_solve(tmp_path):
+    problem = cg.BoundaryProblem(swing, (0, 10), [0.0], [1.0])
+    other = cg.paths(problem, intervals=20, count=2)[0]
+    other.to_npz(tmp_path / "other.npz")
+    read = cg.load(tmp_path / "other.npz")
+    assert type(read) is Path
+    np.testing.assert_array_equal(read(other.t), other.x)
+    assert cg.solve(problem, tol=1e-8, guess=read).action == pytest.approx(other.action, rel=1e-8)
+    assert cg.solve(problem, cg.Galerkin(8), 20, guess=read).iterations <= 1
+
+
+def test_a_saved_optimum_is_the_guess_of_a_next_one_of_any_duration(tmp_path):
+    path = cg.solve(double_integrator(), cg.Galerkin(3), 4)
+    path.to_npz(str(tmp_path / "move.npz"))
+    read, controls = cg.load(str(tmp_path / "move.npz"))
+    np.testing.assert_array_equal(controls(path.t), path.control(path.t))
+    again = cg.solve(double_integrator(), cg.Galerkin(3), 4, guess=(read, controls))
+    assert again.cost == pytest.approx(path.cost, rel=1e-9)
+    longer = cg.solve(double_integrator(t_span=(0.0, 2.0)), cg.Galerkin(3), 4, guess=(read, controls))
+    assert longer.cost == pytest.approx(path.cost / 8, rel=1e-9)
+
+
+def test_a_path_that_jumps_is_read_with_its_jumps(tmp_path):
+    values = np.array([[0.0, 1.0, 2.0]])
+    jumping = Path(PiecewisePolynomial(np.arange(3.0), np.array([0.0, 1.0]), values, np.array([[5.0, 2.0]])))
+    jumping.to_npz(tmp_path / "jumping.npz")
+    assert cg.load(tmp_path / "jumping.npz").before(1.0).tolist() == [5.0]
+
+
+def test_a_file_without_a_path_is_refused(tmp_path):
+    swept, _ = answers()[3]
+    swept.to_npz(tmp_path / "swept.npz")
+    with pytest.raises(ValueError, match=r"swept.npz holds no path; only to_npz of a path writes one"):
+        cg.load(tmp_path / "swept.npz")
+    with pytest.raises(TypeError, match="file must be the path of a file, a string or a Path, got 3"):
+        cg.load(3)
+
+
+@pytest.mark.slow
+def test_pandas_reads_what_is_written(answer, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    kept, names = answer
+    kept.to_csv(tmp_path / "kept.csv")
+    frame = pandas.read_csv(tmp_path / "kept.csv", keep_default_na=False, na_values="nan")
+    assert list(frame) == names
+    for name, column in pandas.DataFrame(kept.to_dict()).items():
+        if column.dtype == float:
+            np.testing.assert_allclose(frame[name], column, rtol=1e-14, atol=1e-300)
 
 
 def test_a_sweep_of_a_control_problem_has_costs():
@@ -101,5 +199,5 @@ def test_a_sweep_over_parameters_has_their_columns_also_where_it_failed():
     fall = cg.BoundaryProblem(lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0], (0, 1), [0], [0], parameters=[1.0])
     over = [{"parameters": [2.0]}, {"parameters": [3.0], "guess": lambda t: [np.nan]}, {}]
     table = cg.sweep(fall, over, cg.Galerkin(2), 2).table()
-    np.testing.assert_array_equal(table["p[0]"], [2.0, 3.0, 1.0])
+    np.testing.assert_array_equal(table["parameters[0]"], [2.0, 3.0, 1.0])
     np.testing.assert_array_equal(np.isnan(table["action"]), [False, True, False])

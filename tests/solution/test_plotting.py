@@ -295,3 +295,34 @@ def test_without_labels_components_are_numbered_and_the_title_is_the_path():
     assert [line.get_label() for line in axes.lines[::2]] == ["x[0]", "x[1]"]
     assert axes.get_title() == "Degree 2 on 4 intervals: action 2.5, Morse index 0"
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("t", "x")
+
+
+def test_a_sweep_is_drawn_in_one_picture():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0])
+    sweep = cg.sweep(problem, [{"end": [2.0]}, {"guess": [[np.nan] * 3]}, {"end": [3.0]}], cg.Galerkin(2), 2)
+    axes = sweep.plot(labels="way in m", time="t in s")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("t in s", "way in m")
+    assert [line.get_ydata()[-1] for line in axes.lines] == [2.0, 3.0]
+    assert [line.get_label() for line in axes.lines] == ["variation 0", "variation 2"]
+    assert sweep.plot().get_ylabel() == "x[0]"
+    with pytest.raises(ValueError, match="component must be a whole number from 0 to 0, got 1"):
+        sweep.plot(1)
+    assert not cg.sweep(problem, [], cg.Galerkin(2), 2).plot().lines
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda problem: cg.sweep(problem, [{}], cg.Galerkin(2), 2),
+        lambda problem: cg.paths(problem, intervals=4, count=1),
+        lambda problem: cg.continuation(problem, [2.0], intervals=4),
+        lambda problem: cg.continuation(problem, [2.0], intervals=4, branches=1),
+        lambda problem: cg.compare(problem, intervals=4),
+    ],
+    ids=["sweep", "paths", "branch", "diagram", "comparison"],
+)
+def test_a_notebook_shows_text_and_picture(make):
+    problem = cg.BoundaryProblem(lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0], (0, 1), [0.0], [1.0], parameters=[1.0])
+    shown = make(problem)
+    assert shown._repr_html_().startswith(f"<pre>{repr(shown).splitlines()[0]}")
+    assert "<svg" in shown._repr_html_()
