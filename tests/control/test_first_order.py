@@ -1,8 +1,11 @@
 """Boundary problems of first order: no controls, as many conditions as components."""
 
+import runpy
+
 import casadi as ca
 import numpy as np
 import pytest
+from paths import EXAMPLES
 from scipy.optimize import brentq
 from slow import slow
 
@@ -35,6 +38,16 @@ def test_the_error_is_at_most_what_is_said(tol):
     path = cg.solve(cg.ControlProblem(**HEAT), tol=tol)
     error = np.max(np.abs(path(TIMES)[0] - bratu(TIMES))) / bratu(0.5)
     assert error - 1e-14 <= path.error_estimate <= tol  # but for rounding of what is exact
+
+
+@pytest.mark.parametrize("name", ["shock", *slow("Sturm-Liouville", "Emden", "electrodes", "Cash 33", "Mathieu")])
+def test_errors_of_the_benchmark_are_at_most_what_is_said(name):
+    benchmark = runpy.run_path(str(EXAMPLES / "benchmark" / "first_order.py"))
+    case = benchmark["CASES"][name]
+    path = cg.solve(case.problem, tol=1e-6, guess=None if case.guess(0.0) is None else case.guess)
+    finest = None if case.exact else case.here(1e-12)[0]
+    error = benchmark["error"](case, (path, path.parameters or ()), finest)
+    assert error <= path.error_estimate <= 1e-6
 
 
 def test_gauss_points_make_it_the_mechanical_path():

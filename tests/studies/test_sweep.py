@@ -585,7 +585,7 @@ def test_a_variation_is_a_dict(variation):
         ({"periodic": True}, ValueError, "variation 1 has 'periodic'"),
         ({"end": [1.0, 2.0]}, ValueError, r"variation 1: end must have 1 component, got 2"),
         ({"start": [None]}, ValueError, "variation 1: start must have None where the problem has it"),
-        ({"end": 1.0}, TypeError, "variation 1: end must be a sequence"),
+        ({"end": "1.0"}, TypeError, "variation 1: end must be a sequence"),
         ({"t_span": (1.0, 0.0)}, ValueError, "variation 1: t_span must increase"),
         ({"parameters": [1.0, 2.0]}, ValueError, "variation 1: parameters must have 1"),
     ],
