@@ -1,5 +1,6 @@
 """High-order Galerkin variational integrators, solved globally as two-point boundary-value problems on CasADi."""
 
+from casadi_galerkin._solve import sensitivity as sensitivity
 from casadi_galerkin._solve import solution_function as solution_function
 from casadi_galerkin._solve import solve as solve
 from casadi_galerkin._solve import transcribe as transcribe
@@ -12,7 +13,6 @@ from casadi_galerkin.boundary.branch import Diagram as Diagram
 from casadi_galerkin.boundary.branch import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation
 from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity
-from casadi_galerkin.boundary.sensitivity import sensitivity as sensitivity
 from casadi_galerkin.boundary.transcription import Transcription as Transcription
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus as DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin as Galerkin
@@ -28,6 +28,7 @@ from casadi_galerkin.calculus.quadrature import midpoint as midpoint
 from casadi_galerkin.calculus.quadrature import radau as radau
 from casadi_galerkin.calculus.quadrature import trapezoid as trapezoid
 from casadi_galerkin.control.control_transcription import ControlTranscription as ControlTranscription
+from casadi_galerkin.control.sensitivity import ControlSensitivity as ControlSensitivity
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem as BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem as ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem as InitialProblem

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
 from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement, first_discretization
-from casadi_galerkin.boundary.sensitivity import boundary_function
+from casadi_galerkin.boundary.sensitivity import Sensitivity, boundary_function, boundary_sensitivity
 from casadi_galerkin.boundary.transcription import GraphCache, Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
@@ -18,6 +18,7 @@ from casadi_galerkin.calculus.numbers import check_verbose, whole
 from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.control_refinement import ControlRefinement, first_control_discretization
 from casadi_galerkin.control.control_transcription import ControlTranscription, check_solver, transcribed_control
+from casadi_galerkin.control.sensitivity import ControlSensitivity
 from casadi_galerkin.control.starts import best_of
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
@@ -350,7 +351,8 @@ def solution_function(
     controls : as u, a guess such as ``path.control.values``
     duration, cost : scalars
 
-    It has no derivatives; with fatrop, C code can be generated from it.
+    It has first derivatives, with the bounds that act; they are not finite where a bound is met but hardly acts, and
+    an IPOPT around it takes ``{"hessian_approximation": "limited-memory"}``.  With fatrop, C code can be generated.
 
     The Function runs CasADi's Newton method, or the solver, and has none of the rescues of `solve`: the guess should
     be a path for data nearby.  Where residuals are above their roundoff floors or, of a ControlProblem, an equation or
@@ -379,3 +381,49 @@ def solution_function(
     if solver is not None:
         raise ValueError(f"the Function of a BoundaryProblem runs CasADi's Newton method, got solver={solver!r}")
     return boundary_function(problem, method, intervals, mesh, guess)
+
+
+@overload
+def sensitivity(path: ControlTrajectory) -> ControlSensitivity: ...
+
+
+@overload
+def sensitivity(path: Trajectory) -> Sensitivity | ControlSensitivity: ...
+
+
+def sensitivity(path: Trajectory) -> Sensitivity | ControlSensitivity:
+    """Derivatives of a solution by the data of its problem, by one factorization and a back-substitution for each.
+
+    Of the path of a BoundaryProblem, by parameters and ends, from its Hessian; of an optimum, also by velocities and
+    bounds, from its optimality conditions with the bounds that act.  The derivative of a cost is that of the optimal
+    cost, as which bounds act does not change to first order.
+
+    Parameters
+    ----------
+    path : Trajectory of a BoundaryProblem or ControlTrajectory; found to a tolerance or on a fixed discretization
+
+    Returns
+    -------
+    Sensitivity, whose arrays have no columns for what the problem does not have; of an optimum ControlSensitivity
+
+    Raises
+    ------
+    TypeError, ValueError
+        for what is no such path; of a BoundaryProblem for a path of given energy, and where ∂L/∂x or the force steps
+        in x or v on the path, as with |x| or dry friction: the derivatives contain that impulse, which is in no
+        Hessian; for an optimum that is a saddle or not determined to second order, or with a bound that is met but
+        hardly acts, so that the derivatives on its two sides differ
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
+    >>> float(cg.sensitivity(cg.solve(problem, cg.Galerkin(degree=2), intervals=4)).end[0, 1, 0].round(9))
+    0.25
+    """
+    if isinstance(path, ControlTrajectory):
+        derivatives: ControlSensitivity = path.find_sensitivity(path)
+        return derivatives
+    if not isinstance(path, Trajectory):
+        raise TypeError(f"sensitivity takes a Trajectory, got {type(path).__name__}")
+    return boundary_sensitivity(path)

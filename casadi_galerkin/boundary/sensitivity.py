@@ -118,35 +118,13 @@ class Sensitivity:
         return "\n".join(lines)
 
 
-def sensitivity(path: Trajectory) -> Sensitivity:
-    """Derivatives of a solution by parameters and ends, by one factorization of its Hessian.
-
-    Parameters
-    ----------
-    path : Trajectory of a BoundaryProblem; found to a tolerance or on a fixed discretization
-
-    Returns
-    -------
-    Sensitivity, whose arrays have no columns for what the problem does not have
-
-    Raises
-    ------
-    TypeError, ValueError
-        for what is no path of a BoundaryProblem, for a path of given energy, and where ∂L/∂x or the force steps in x
-        or v on the path, as with |x| or dry friction: the derivatives contain that impulse, which is in no Hessian
-
-    Examples
-    --------
-    >>> import casadi_galerkin as cg
-    >>> problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
-    >>> float(cg.sensitivity(cg.solve(problem, cg.Galerkin(degree=2), intervals=4)).end[0, 1, 0].round(9))
-    0.25
-    """
-    if not isinstance(path, Trajectory):
-        raise TypeError(f"sensitivity takes a Trajectory, got {type(path).__name__}")
+def boundary_sensitivity(path: Trajectory) -> Sensitivity:
+    """Derivatives of the path of a BoundaryProblem, see `sensitivity`."""
     problem = path.problem
     if not isinstance(problem, BoundaryProblem):
-        raise TypeError(f"sensitivity takes the path of a BoundaryProblem, got one of {type(problem).__name__}")
+        raise TypeError(
+            f"sensitivity takes the path of a BoundaryProblem or a ControlProblem, got one of {type(problem).__name__}"
+        )
     _refuse_energy("sensitivity", problem)
     _refuse_kinks("sensitivity", path)
     return at_joints(problem, path)

@@ -12,6 +12,7 @@ from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.control.control_transcription import transcribed_control
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION
 from casadi_galerkin.control.program_bounds import bounds_of, equation_scales, given_at_ends
+from casadi_galerkin.control.sensitivity import OptimalityConditions, units_of
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.guess import Guess
@@ -56,6 +57,7 @@ def control_function(
         else:
             for side in (*stated[:2], *narrow[:2]):
                 side[entries.tolist()] = value
+    given = ca.vertcat(*inputs.values())
     f, degree = chain.fields, method.degree
     inputs["guess"] = ca.MX.sym("guess", chain.dimension, chain.intervals * degree + 1)
     inputs["controls"] = ca.MX.sym("controls", chain.controls, chain.intervals * len(chain.control_times))
@@ -63,18 +65,28 @@ def control_function(
     first[f["nodes"].ravel().tolist()] = ca.vec(inputs["guess"][:, 1:])
     first[f["controls"].ravel().tolist()] = ca.vec(inputs["controls"])
     program, sides = transcription.program(solver, warm=False, verbose=0), ("lbx", "ubx", "lbg", "ubg")
-    found = program(x0=first, p=data, **dict(zip(sides, narrow, strict=True)))
+    found = _undifferentiated(program)(x0=first, p=data, **dict(zip(sides, narrow, strict=True)))
     multipliers = found["lam_g"], found["lam_x"]
     violation, slope = _violation(transcription.graph, sizes)(found["x"], data, *multipliers, *stated)
     verified = ca.logic_and(allowed, ca.logic_and(violation <= FEASIBLE, slope <= STATIONARY))
-    everything = ca.vertcat(found["x"], data)
+    units = units_of(transcription.graph, known[0], sizes, path.cost_size)
+    point = [found[name] for name in ("x", "lam_g", "lam_x")]
+    moved, cheaper = OptimalityConditions(transcription.graph, units).changes(point, [data, *narrow], given)
+    everything = ca.vertcat(point[0] + moved, data)
     outputs = {
         "x": ca.reshape(everything[f["x"].ravel().tolist()], chain.dimension, -1),
         "u": ca.reshape(everything[f["controls"].ravel().tolist()], chain.controls, -1),
         "duration": ca.sum1(everything[f["durations"][-1].tolist()]),
-        "cost": found["f"],
+        "cost": found["f"] + cheaper,
     }
-    return verified_function(inputs, outputs, verified, ["guess", "controls"], derivatives=False)
+    return verified_function(inputs, outputs, verified, ["guess", "controls"])
+
+
+def _undifferentiated(program: ca.Function) -> ca.Function:
+    """The same Function with derivatives of zero: those of an optimum are `OptimalityConditions.changes`."""
+    names, inputs = (program.name_in(), program.name_out()), program.mx_in()
+    without = {"is_diff_in": [False] * len(inputs), "is_diff_out": [False] * program.n_out(), "never_inline": True}
+    return ca.Function("found", inputs, program.call(inputs), *names, without)
 
 
 def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:

@@ -263,6 +263,7 @@ class ControlTranscription:
             method=self.method,
             problem=found,
             find_index=second_order.negative,
+            find_sensitivity=second_order.sensitivity,
             find_remaining_error=second_order.remaining_error,
             find_comparisons=partial(comparisons, solver),
             cost=report.cost,

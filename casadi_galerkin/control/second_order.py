@@ -29,11 +29,12 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
 from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph
 from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
+from casadi_galerkin.control.sensitivity import ControlSensitivity, sensitivity_of
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
-from casadi_galerkin.solution.control_trajectory import RemainingError
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory, RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 # errors over Newton steps: where the cost is like a fourth power, a step leaves two thirds of the distance
@@ -79,6 +80,10 @@ class SecondOrder:
         durations = kinds[chain.fields["durations"][-1]] if "durations" in chain.free else kinds[:0]
         of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))
         return RemainingError(errors[: chain.dimension], of_durations, change if np.isfinite(change) else np.inf)
+
+    def sensitivity(self, path: ControlTrajectory) -> ControlSensitivity:
+        """Derivatives of the path by the data of its problem."""
+        return sensitivity_of(self.problem, self._graph(), self.optimum, path)
 
     def negative(self) -> int:
         """Number of independent directions in which the cost decreases to second order.

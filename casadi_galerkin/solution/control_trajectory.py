@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -146,6 +146,7 @@ class ControlTrajectory(Trajectory):
     end_velocity: np.ndarray
     arrival_velocity: np.ndarray
     find_remaining_error: Callable[[], RemainingError]
+    find_sensitivity: Callable[[ControlTrajectory], Any]
     find_comparisons: Callable[[ControlTrajectory], Comparisons]
     cost_error: float | None = None
 

@@ -282,9 +282,9 @@ def all_finite(*values: ca.MX) -> ca.MX:
     return ca.norm_1(ca.vertcat(*values)) < np.inf
 
 
-def factors_of(sparsity: ca.Sparsity) -> ca.Linsol:
-    """Workspace of LDLᵀ without pivoting, for symmetric matrices of a sparsity with its whole diagonal."""
-    return ca.Linsol("inertia", "ldl", sparsity)
+def factors_of(sparsity: ca.Sparsity, method: str = "ldl") -> ca.Linsol:
+    """Workspace of LDLᵀ without pivoting, for symmetric matrices of a sparsity with its whole diagonal, or of "qr"."""
+    return ca.Linsol("factors", method, sparsity, NO_CUTOFF if method == "qr" else {})
 
 
 def negative_pivots(matrix: ca.DM, factors: ca.Linsol) -> int:

@@ -112,13 +112,6 @@ def test_c_code_of_a_function_gives_its_answers(tmp_path, monkeypatch):
     assert float(compiled["cost"]) == pytest.approx(float(f(**given)["cost"]), rel=1e-12)
 
 
-@pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
-def test_derivatives_are_refused(solver):
-    f, start = cg.solution_function(double_integrator(), cg.Galerkin(3), 4, solver=solver), ca.MX.sym("start")
-    with pytest.raises(RuntimeError, match="Derivatives cannot be calculated for solution"):
-        ca.gradient(f(start=start)["cost"], start)
-
-
 def test_bad_solvers_are_refused():
     with pytest.raises(ValueError, match="solved by cg"):
         cg.solution_function(double_integrator(), cg.Galerkin(3), 4, solver=cg.newton)
