@@ -74,7 +74,7 @@ def _moved(path: Any) -> Any:
     stretch = 1.0 + 0.1 * any(free)
 
     def moved(value: np.ndarray) -> np.ndarray:
-        return value + random.uniform(0.1, 0.2, np.shape(value)) * (np.max(np.abs(value)) or 1.0)
+        return value + random.uniform(0.1, 0.2, np.shape(value)) * (np.max(np.abs(value), initial=0.0) or 1.0)
 
     own = path.polynomial
     values, mesh = moved(own.values), own.mesh[0] + stretch * (own.mesh - own.mesh[0])
