@@ -1,11 +1,11 @@
-"""The gallery of the README holds every scene, drawn small."""
+"""The gallery holds every scene, drawn small."""
 
 import importlib
 import re
 
 import matplotlib as mpl
 import pytest
-from paths import EXAMPLES, ROOT
+from paths import EXAMPLES
 
 PICTURES = EXAMPLES / "pictures"
 BYTES = 60_000  # of one picture, so that the whole page stays below a megabyte or two
@@ -19,9 +19,8 @@ def gallery(monkeypatch):
 
 
 def test_every_scene_has_its_picture_and_its_words_in_the_manual(gallery):
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    table = text[text.index("## Gallery") : text.index("## Where things are")]
-    shown = re.findall(r"!\[(\w+)\]\(examples/pictures/\1\.png\) \[`\1\.py`\]\(examples/\1\.py\): \S", table)
+    text = (EXAMPLES / "gallery.md").read_text(encoding="utf-8")
+    shown = re.findall(r"!\[(\w+)\]\(pictures/\1\.png\) \[`\1\.py`\]\(\1\.py\): \S", text)
     assert sorted(shown) == gallery.SCENES
 
 
