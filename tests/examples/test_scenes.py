@@ -24,7 +24,7 @@ from paths import EXAMPLES
 from scenes import TROESCH
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize
-from scipy.special import chdtri, ellipe, ellipk
+from scipy.special import chdtri, ellipe, ellipk, mathieu_b
 from slow import slow
 
 import casadi_galerkin as cg
@@ -36,6 +36,38 @@ PUBLISHED = 1e-8  # the initial values of the figure eight were published with 8
 
 
 # scenes of boundary problems
+
+
+def hanging_in_catenaries(module, cables):
+    for cable, length in zip(cables, module.LENGTHS, strict=True):
+        rise = np.diff(module.MASTS)[0]
+        a = brentq(lambda a: 2 * a * np.sinh(module.SPAN / 2 / a) - np.sqrt(length**2 - rise**2), 10, 1e4)  # noqa: B023
+        middle = module.SPAN / 2 - a * np.arctanh(rise / length)
+        height = a * (np.cosh((cable.t - middle) / a) - np.cosh(middle / a)) + module.MASTS[0]
+        np.testing.assert_allclose(cable.x[0], height, rtol=1e-12, atol=0)
+        pull, level = module.tensions(cable)
+        np.testing.assert_allclose(level, module.WEIGHT * a, rtol=1e-11, atol=0)
+        np.testing.assert_allclose(pull, module.WEIGHT * a * np.cosh((cable.t - middle) / a), rtol=1e-11, atol=0)
+        assert cable.morse_index == 0
+
+
+def arcs_of_circles(module, ropes):
+    *arcs, open_end = ropes
+    for rope, length in zip(arcs, module.LENGTHS, strict=True):
+        half = brentq(lambda angle: angle / np.sin(angle) - length / module.CHORD, 1e-3, 3.0)  # noqa: B023
+        radius = length / (2 * half)
+        assert rope.integral_multipliers * length == pytest.approx([radius], rel=1e-12)
+        assert -rope.action == pytest.approx(radius**2 * (half - np.sin(half) * np.cos(half)), rel=1e-12)
+    assert -open_end.action == pytest.approx(module.LENGTHS[-1] ** 2 / (2 * np.pi), rel=1e-12)
+    assert [rope.morse_index for rope in ropes] == [0] * 4
+
+
+def modes_in_order(module, found):
+    string, mathieu = ([-mode.integral_multipliers[0] for mode in modes] for modes in found)
+    numbers = np.array(module.MODES)
+    np.testing.assert_allclose(string, 0.25 + (numbers * np.pi / np.log(2)) ** 2, rtol=1e-10, atol=0)
+    np.testing.assert_allclose(mathieu, mathieu_b(numbers, module.Q), rtol=0, atol=1e-10)
+    assert [[mode.morse_index for mode in modes] for modes in found] == [[*range(10)]] * 2
 
 
 def vallados_velocities(module, path):
@@ -867,6 +899,9 @@ TABLE = [
     ("crane", crane_in_balance, "the crane's load arrives at rest, and its rope's force is that of the load's motion"),
     ("gates", cubics_through_the_gates, "the flight through the gates is the best of all cubics"),
     ("elastic_support", cable_as_integrated, "the cable is that integrated by hand, in balance with its spring"),
+    ("hanging_cable", hanging_in_catenaries, "cables hang in catenaries, pulled as their multipliers say"),
+    ("dido", arcs_of_circles, "Dido's ropes are arcs of circles, and half a circle on the open shore"),
+    ("string_modes", modes_in_order, "multipliers are the eigenvalues of ten modes, and indices their numbers"),
     ("obstacle", passed_below, "the vehicle passes below at the exact cost"),
     ("swing_up_loop", upright_in_the_loop, "planned anew from noisy states the pole stands upright, knocked or not"),
     ("swaying_load", loads_at_rest, "the swaying loads come to rest, and the loop does what plans and plant do"),
