@@ -1,8 +1,10 @@
-"""What a notebook shows, in a kernel of its own: every figure, and the bars of long calculations."""
+"""What a notebook shows, in a kernel of its own: every figure, the bars of long calculations, and guides."""
 
+import runpy
 from pathlib import Path
 
 import pytest
+from paths import EXAMPLES
 
 import casadi_galerkin as cg
 
@@ -55,3 +57,23 @@ def test_every_figure_is_shown_once_and_a_bar_where_a_calculation_lasts(shown, f
     _, *outputs = shown(SOLVED, *cells)
     seen = [[kind for kind in output if kind != "text/plain"] for output in outputs]
     assert dict(zip(cells, seen, strict=True)) == cells
+
+
+WRITTEN = runpy.run_path(str(EXAMPLES / "guides" / "notebooks.py"))
+
+
+def test_guides_run_as_notebooks_that_show_their_figures(shown, tmp_path):
+    """One after the other in one kernel, which starts slowly."""
+    import nbformat
+
+    books = [nbformat.read(WRITTEN["write"](guide, tmp_path), as_version=4) for guide in WRITTEN["CHOSEN"]]
+    for guide, book in zip(WRITTEN["CHOSEN"], books, strict=True):
+        nbformat.validate(book)
+        text = (EXAMPLES / "guides" / f"{guide}.md").read_text(encoding="utf-8")
+        assert sum(cell.cell_type == "code" for cell in book.cells) == text.count("```python\n")
+        assert book.cells[0].source.startswith("# ")
+    codes = [cell.source for book in books for cell in book.cells if cell.cell_type == "code"]
+    outputs = shown(*codes)
+    assert not any("stderr" in output for output in outputs)
+    drawn = [code for code in codes if "savefig" in code]
+    assert sum("image/png" in output for output in outputs) >= len(drawn) > 2
