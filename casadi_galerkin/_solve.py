@@ -15,6 +15,7 @@ from casadi_galerkin.boundary.transcription import GraphCache, Transcription, tr
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import check_verbose, whole
+from casadi_galerkin.control.adaptive_control import AdaptiveControlTranscription
 from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.control_refinement import ControlRefinement, first_control_discretization
 from casadi_galerkin.control.control_transcription import ControlTranscription, check_solver, transcribed_control
@@ -246,6 +247,7 @@ def transcribe(
     *,
     mesh: ArrayLike | None = None,
     tol: float,
+    of: Quantity | None = None,
     limits: Limits | None = None,
 ) -> AdaptiveTranscription: ...
 
@@ -256,6 +258,19 @@ def transcribe(
 ) -> ControlTranscription: ...
 
 
+@overload
+def transcribe(
+    problem: ControlProblem,
+    method: Galerkin | None = None,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    tol: float,
+    of: Quantity | None = None,
+    limits: Limits | None = None,
+) -> AdaptiveControlTranscription: ...
+
+
 def transcribe(
     problem: BoundaryProblem | ControlProblem,
     method: Galerkin | None = None,
@@ -263,8 +278,9 @@ def transcribe(
     *,
     mesh: ArrayLike | None = None,
     tol: float | None = None,
+    of: Quantity | None = None,
     limits: Limits | None = None,
-) -> Transcription | AdaptiveTranscription | ControlTranscription:
+) -> Transcription | AdaptiveTranscription | ControlTranscription | AdaptiveControlTranscription:
     """Build the graph of a problem once, to solve it often: with a fixed discretization, or to a tolerance.
 
     With `tol`, mesh and degree are those that the first path needed; they are adapted where they no longer serve.
@@ -275,14 +291,14 @@ def transcribe(
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    tol : relative tolerance, as for `solve`, which also says what method, intervals and mesh then are; for a
-        BoundaryProblem
+    tol : relative tolerance, as for `solve`, which also says what method, intervals and mesh then are
+    of : the quantity that `tol` is the tolerance of, as for `solve`; default x
     limits : Limits that stop a refinement, by default after 120 s; only with `tol`
 
     Returns
     -------
-    Transcription, AdaptiveTranscription or ControlTranscription, whose ``solve`` takes other ends, parameters, times
-    and guesses
+    Transcription or ControlTranscription, with a tolerance AdaptiveTranscription or AdaptiveControlTranscription,
+    whose ``solve`` takes other ends, parameters, times and guesses
 
     Raises
     ------
@@ -300,10 +316,11 @@ def transcribe(
     check_kind(problem, BoundaryProblem, ControlProblem)
     check_method(method, optional=True)
     _check_limits(limits, tol)
+    check_asked(of, tol)
     if tol is not None:
-        if not isinstance(problem, BoundaryProblem):
-            raise TypeError(f"only a BoundaryProblem is transcribed with tol, got {type(problem).__name__}")
-        return AdaptiveTranscription(problem, tol, method, intervals, mesh, limits)
+        if isinstance(problem, ControlProblem):
+            return AdaptiveControlTranscription(problem, tol, method, intervals, mesh, limits, of)
+        return AdaptiveTranscription(problem, tol, method, intervals, mesh, limits, of)
     return _graph(problem, method, intervals, mesh)
 
 

@@ -31,6 +31,7 @@ from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.solver import Solver, newton
@@ -44,7 +45,7 @@ class AdaptiveTranscription:
     Parameters
     ----------
     problem : BoundaryProblem
-    tol, method, intervals, mesh, limits : as for `solve`
+    tol, of, method, intervals, mesh, limits : as for `solve`
 
     Attributes
     ----------
@@ -73,8 +74,9 @@ class AdaptiveTranscription:
         intervals: int | None,
         mesh: ArrayLike | None,
         limits: Limits | None,
+        of: Quantity | None = None,
     ) -> None:
-        self.problem, self.tol, self.limits = problem, check_tolerance(tol), limits or Limits()
+        self.problem, self.tol, self.limits, self.of = problem, check_tolerance(tol), limits or Limits(), of
         self.method, self._coarse = first_discretization(problem, self.tol, method, intervals, mesh)
         self._graphs = GraphCache(problem, by_rows)
         self.first: Trajectory | None = None
@@ -83,7 +85,7 @@ class AdaptiveTranscription:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickled without its Functions, which are built again from the problem."""
-        built_from = self.problem, self.tol, self.method, None, self._coarse, self.limits
+        built_from = self.problem, self.tol, self.method, None, self._coarse, self.limits, self.of
         return type(self), built_from, {"first": self.first}
 
     @interrupts_raised()
@@ -144,7 +146,7 @@ class AdaptiveTranscription:
         if known is not None and problem.energy is not None:  # the duration is found, too
             problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
         graphs = self._graphs.for_problem(problem, verbose)
-        refinement = BoundaryRefinement(graphs, self.tol, self.method, solver, self.limits)
+        refinement = BoundaryRefinement(graphs, self.tol, self.method, solver, self.limits, self.of)
         coarse = map_times(self._coarse, section_times(self.problem), section_times(problem))
         guess = refinement.on_any_mesh(guess, coarse)
         try:

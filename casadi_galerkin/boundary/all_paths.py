@@ -35,6 +35,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.orbit_phase import refuse_free_phase
 from casadi_galerkin.solution.plotting import Pictured, plot_family
+from casadi_galerkin.solution.quantity import Quantity, check_asked
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
 from casadi_galerkin.solvers.solver import newton
 
@@ -138,6 +139,7 @@ def paths(
     count: int = 10,
     *,
     tol: float | None = None,
+    of: Quantity | None = None,
     mesh: ArrayLike | None = None,
     symmetries: Sequence[Symmetry] = (),
     periods: Sequence[float | None] | None = None,
@@ -158,6 +160,7 @@ def paths(
     intervals : number of equal intervals; or
     count : number of paths at which the search ends
     tol : relative tolerance between 0 and 1, in place of `method` and `intervals`, which are then where it begins
+    of : the quantity that `tol` is the tolerance of, as for `solve`; default x
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     symmetries : callables that take the values of a path at all nodes, (d, N m + 1) in the order of time, and return
         those of a path that counts as the same one: its mirror image, as in ``lambda x: -x``.  Of such paths only one
@@ -187,6 +190,7 @@ def paths(
     """
     check_kind(problem, BoundaryProblem)
     check_method(method, optional=True)
+    check_asked(of, tol)
     refine = None
     if tol is None:
         transcription = transcribed(problem, method or Galerkin(8), intervals, mesh)
@@ -195,7 +199,7 @@ def paths(
         if intervals is None and mesh is None:
             joints = resized_mesh(joints, SEARCH_INTERVALS_FACTOR * (len(joints) - 1), problem.breakpoints)
         graphs = GraphCache(problem)
-        transcription, refine = graphs.transcription(method, joints), partial(_refined, graphs, tol, method)
+        transcription, refine = graphs.transcription(method, joints), partial(_refined, graphs, tol, of, method)
     refuse_free_phase("paths", problem)
     count, images = whole_number("count", count), _checked(symmetries, transcription)
     lengths = _checked_periods(periods, problem)
@@ -226,10 +230,10 @@ def paths(
     return Paths(tuple(sorted(found, key=lambda path: path.action)), solves, unresolved, singular, stopped, known)
 
 
-def _refined(graphs: GraphCache, tol: float, method: Galerkin, point: CriticalPoint) -> Trajectory:
+def _refined(graphs: GraphCache, tol: float, of: Quantity | None, method: Galerkin, point: CriticalPoint) -> Trajectory:
     """The path that a critical point of a first mesh becomes on finer ones."""
     of_problem = graphs.for_problem(point.problem)
-    return BoundaryRefinement(of_problem, tol, method, newton, CANDIDATE_LIMITS).resume(point)
+    return BoundaryRefinement(of_problem, tol, method, newton, CANDIDATE_LIMITS, of).resume(point)
 
 
 def _ends(problem: BoundaryProblem, lengths: np.ndarray) -> Iterator[list[float | None] | None]:

@@ -24,17 +24,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 from casadi_galerkin._solve import solve, transcribe
+from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
 from casadi_galerkin.boundary.neighboring_problems import data_vector, nearest
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import or_one
-from casadi_galerkin.control.control_refinement import first_control_discretization
 from casadi_galerkin.functional.buffers import fork_waits, interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import VARIED, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.studies.sweep_file import CutShort, SweepFile
 
@@ -57,16 +57,19 @@ def varied(problem: Stated, variation: Variation) -> Stated:
 
 
 def solver_of(
-    problem: BoundaryProblem | ControlProblem, method: Galerkin | None, intervals: int | None, tol: float | None
+    problem: BoundaryProblem | ControlProblem,
+    method: Galerkin | None,
+    intervals: int | None,
+    tol: float | None,
+    of: Quantity | None,
 ) -> Solve:
     """A function that solves a variation: on a graph built once, or, to a tolerance, on meshes refined for it."""
     if tol is not None:
         if isinstance(problem, BoundaryProblem):
-            return _from_neighbors(problem, method, intervals, tol)
-        # refuses here what would fail in every variation
-        first_control_discretization(problem, check_tolerance(tol), method, intervals, None, None, Limits())
+            return _from_neighbors(transcribe(problem, method, intervals, tol=tol, of=of))
+        transcribe(problem, method, intervals, tol=tol)  # refuses here what would fail in every variation
         return lambda variation, _: solve(
-            varied(problem, variation), method, intervals, tol=tol, guess=variation.get("guess")
+            varied(problem, variation), method, intervals, tol=tol, of=of, guess=variation.get("guess")
         )
     if method is None or intervals is None:
         raise ValueError(f"give a method and intervals, or tol, got method={method!r} and intervals={intervals!r}")
@@ -85,13 +88,13 @@ def solver_of(
     return solved
 
 
-def _from_neighbors(problem: BoundaryProblem, method: Galerkin | None, intervals: int | None, tol: float) -> Solve:
+def _from_neighbors(transcription: AdaptiveTranscription) -> Solve:
     """Solve to a tolerance from the nearest known path, and where that leads to none, from the straight line.
 
     A variation with a guess of its own is solved from that, on the mesh of its neighbor; one with a guess of the free
     duration, which chooses among the paths of an energy, has no neighbor.
     """
-    transcription = transcribe(problem, method, intervals, tol=tol)
+    problem = transcription.problem
 
     def solved(variation: Variation, known: Sequence[Known]) -> Trajectory:
         own, guess = varied(problem, variation), variation.get("guess")

@@ -24,6 +24,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, File, Table, by_component
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.progress import progress
+from casadi_galerkin.solution.quantity import Quantity, check_asked
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.studies.parallel import (
     Answer,
@@ -217,6 +218,7 @@ def sweep(
     intervals: int | None = None,
     *,
     tol: float | None = None,
+    of: Quantity | None = None,
     executor: Executor | None = None,
     file: File | None = None,
 ) -> Sweep:
@@ -236,6 +238,7 @@ def sweep(
         mesh of the nearest one that is solved, and so stays on its branch; see `Sweep.jumps`.  With a given energy, a
         variation with a `t_span`, the guess of its duration, starts from the straight line.  Variations of a control
         problem are refined one by one, each from its own guess
+    of : the quantity that `tol` is the tolerance of, as for `solve`; with an executor or a file a module's function
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: the solves of one process run one after the other
     file : name of a file in which answers are kept while they come, chunk by chunk, some 64 in all; the same call finds
@@ -269,12 +272,14 @@ def sweep(
             "executor must be a concurrent.futures.Executor of processes, such as ProcessPoolExecutor(), as the solves "
             f"of one process run one after the other, got {executor!r}"
         )
+    check_asked(of, tol)
     given = [_checked(problem, i, variation) for i, variation in enumerate(variations)]
     checked, problems = [variation for variation, _ in given], tuple(other for _, other in given)
-    arguments = (problem, method, intervals, tol)
+    arguments = (problem, method, intervals, tol, of)
     run: Run = partial(here, solver_of(*arguments))  # refuses here what would fail in every worker
     kept = None
     if executor is not None or file is not None:
+        picklable("of", of, "give a module's function")
         written = picklable_problem(*arguments)
         guesses = [
             picklable(f"the guess of variation {i}", variation.get("guess"), "give an array or a module's function")

@@ -162,7 +162,6 @@ def test_it_says_what_mesh_is_kept(capsys):
         (lambda: cg.transcribe(bratu(), tol=2.0), ValueError, "tol must be a number between 0 and 1, got 2.0"),
         (lambda: cg.transcribe(bratu()), TypeError, "method must be a Galerkin.* or give tol instead"),
         (lambda: cg.transcribe(bratu(), cg.Galerkin(4), 4, limits=cg.Limits()), ValueError, "give tol with them"),
-        (lambda: cg.transcribe(double_integrator(), tol=1e-3), TypeError, "only a BoundaryProblem .* ControlProblem"),
         (lambda: cg.transcribe(bratu(), tol=1e-3).solve(velocity=[1.0]), TypeError, "solve takes .* got velocity"),
         (lambda: cg.transcribe(bratu(), tol=1e-3).solve(t_span=(1, 0)), ValueError, "t_span must increase"),
         (lambda: cg.transcribe(bratu(), tol=1e-3).solve(energy=1.0), ValueError, "the problem has no energy"),

@@ -1,6 +1,7 @@
 """Quantities of a path: their errors, and tolerances of them."""
 
 import pickle
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -148,3 +149,39 @@ def test_a_free_duration_is_known_to_its_tolerance():
     path = cg.solve(fastest, tol=1e-6, of=lambda path: path.t[-1])
     assert abs(path.asked - np.sqrt(2.0)) <= 1.42e-6
     assert isinstance(path.asked, float)
+
+
+def end_momentum(path):
+    return path.momentum[:, -1]
+
+
+def test_many_solves_know_a_quantity_to_its_tolerance():
+    transcription = cg.transcribe(SWING, tol=1e-7, of=end_momentum)
+    alone = [transcription.solve(end=[end]) for end in (1.0, 1.1)]
+    swept = cg.sweep(SWING, [{"end": [1.0]}, {"end": [1.1]}], tol=1e-7, of=end_momentum)
+    assert all(path.asked_error <= 1e-7 for path in (*alone, *swept))
+    assert [path.asked[0] for path in swept] == pytest.approx([path.asked[0] for path in alone], rel=2e-7)
+    found = cg.paths(SWING, tol=1e-5, of=end_momentum, count=2)
+    assert all(path.asked_error <= 1e-5 for path in found)
+
+
+def test_many_optima_know_a_quantity_to_its_tolerance():
+    transcription = cg.transcribe(pushed(), cg.Galerkin(3), tol=1e-6, of=lambda path: path.cost)
+    assert "nothing solved yet" in repr(transcription)
+    first, other = transcription.solve(), transcription.solve(end=[1.2], verbose=0)
+    assert transcription.first is first
+    assert "first path of degree 3" in repr(transcription)
+    assert max(first.asked_error, other.asked_error) <= 1e-6
+    (swept,) = cg.sweep(pushed(), [{"end": [1.2]}], cg.Galerkin(3), tol=1e-6, of=lambda path: path.cost)
+    assert swept.asked == pytest.approx(other.asked, rel=2e-6)
+
+
+@pytest.mark.parametrize("solve", [cg.transcribe, partial(cg.sweep, variations=[]), cg.paths], ids=str)
+def test_many_solves_need_the_tolerance_of_a_quantity(solve):
+    with pytest.raises(ValueError, match="of is what a tolerance is asked of: give tol with it"):
+        solve(SWING, of=end_momentum)
+
+
+def test_a_quantity_for_other_processes_is_a_function_of_a_module(tmp_path):
+    with pytest.raises(TypeError, match=r"of .*give a module's function"):
+        cg.sweep(SWING, [{}], tol=1e-5, of=lambda path: path.action, file=tmp_path / "sweep")
