@@ -3,7 +3,6 @@
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator
 from scenes import BY_NAME, bratu_theta, pendulum
 from scenes import bratu_problem as bratu
 from slow import slow

@@ -89,7 +89,6 @@ def test_what_no_mesh_resolves_is_dropped_and_counted():
             ValueError,
             r"periods\[0\] = 3 is no period of the problem: its lagrangian is another one",
         ),
-        ({"method": None}, TypeError, "method must be a Galerkin, .* got None; or give tol instead"),
         ({"tol": 2.0}, ValueError, "tol must be a number between 0 and 1, got 2"),
     ],
 )
