@@ -32,7 +32,7 @@ def lagrangian(t, x, v):
 def main():
     """Trade all rules by the angle at the end, step with the coarsest, and join two angles with all control points."""
     falling = cg.InitialProblem(lagrangian, (0.0, DURATION), start=[START], velocity=[0.0])
-    measured = cg.trade(falling, METHODS.values(), STEPS, measure=lambda path: path.x[0, -1])
+    measured = cg.trade(falling, METHODS.values(), STEPS, of=lambda path: path.x[0, -1])
     paths = {name: cg.solve(falling, method, STEPS[0]) for name, method in METHODS.items()}
     joining = cg.BoundaryProblem(lagrangian, (0.0, 3.0), start=[START], end=[-START])
     same = [cg.solve(joining, cg.Galerkin(8, control_points=points(8)), intervals=6) for points in POINTS]

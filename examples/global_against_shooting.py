@@ -45,7 +45,7 @@ def main():
     measured = {}
     for name, (problem, guess) in SCENES.items():
         coarse = cg.solve(problem, cg.Galerkin(degree=2), INTERVALS[0], guess=guess)
-        measured[name] = cg.trade(problem, [METHOD], INTERVALS, shooting=True, measure=late_position, guess=coarse)
+        measured[name] = cg.trade(problem, [METHOD], INTERVALS, shooting=True, of=late_position, guess=coarse)
     return measured
 
 

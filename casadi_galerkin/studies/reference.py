@@ -8,7 +8,6 @@ the solve.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeAlias
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import APART, counted, number
+from casadi_galerkin.calculus.numbers import APART, counted
 from casadi_galerkin.control.idle_breakpoints import with_joined_phases
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -31,17 +30,17 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import LimitReached
 from casadi_galerkin.solution.guess import check_finite_values, sampled
 from casadi_galerkin.solution.path import DRAWN_TIMES
+from casadi_galerkin.solution.quantity import Quantity, quantity, relative
 from casadi_galerkin.solution.trajectory import Trajectory
 
 TIGHT, TIGHT_OPTIMUM = 1e-12, 1e-8  # tolerances of references, the latter of optimizations
 
 AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
-Measure: TypeAlias = Callable[[Any], float]  # of a path, a Trajectory unless the reference is a callable
 
 
-def check_reference(problem: AnyProblem, given: Reference, measure: Measure | None) -> None:
-    """Refuse a reference that is no path of the problem, or has not the quantity that is measured."""
+def check_reference(problem: AnyProblem, given: Reference, of: Quantity | None) -> None:
+    """Refuse a reference that is no path of the problem, or has not the quantity whose errors count."""
     d, span = problem.dimension, problem.t_span
     free = any(getattr(problem, name, None) is not None for name in ("duration_bounds", "energy"))
     if isinstance(given, Trajectory):
@@ -59,8 +58,8 @@ def check_reference(problem: AnyProblem, given: Reference, measure: Measure | No
     else:
         times = np.linspace(*span, DRAWN_TIMES)
         check_finite_values("the reference", sampled("the reference", given, times, d), times)
-    if measure is not None:
-        quantity(measure, given)
+    if of is not None:
+        quantity(of, given)
 
 
 class ReferenceSolution:
@@ -72,12 +71,12 @@ class ReferenceSolution:
     Parameters
     ----------
     path : Trajectory
-    measure : the quantity, or None
+    of : the quantity, or None
     given : a callable that tells the path in place of the Trajectory, or None
     """
 
-    def __init__(self, path: Trajectory, measure: Measure | None, given: Reference | None = None) -> None:
-        self._path, self._measure = path, measure
+    def __init__(self, path: Trajectory, of: Quantity | None, given: Reference | None = None) -> None:
+        self._path, self._of = path, of
         self._at = path if given is None else partial(sampled, "the reference", given, dimension=len(path.x))
         self._lagrangian = path.motion.numeric.lagrangian
         calculus = DiscreteCalculus(path.method, path.t)
@@ -85,7 +84,7 @@ class ReferenceSolution:
         self._energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
         self._functional, size = _functional(path), float(calculus.weights @ np.abs(values))
         self._functional_size = (abs(self._functional) if isinstance(path, ControlTrajectory) else size) or 1.0
-        self._quantity = None if measure is None else quantity(measure, given or path)
+        self._quantity = np.zeros(()) if of is None else quantity(of, given or path)
 
     def errors(self, path: Trajectory) -> dict[str, Any]:
         """Errors of a path by their names in a `Row`, all relative."""
@@ -96,8 +95,8 @@ class ReferenceSolution:
         lasted, lasting = (np.subtract(times, times[0]) for times in (marks, self._matching(path, np.array(marks))))
         path_error = float(max(joint_error, between_error, np.max(np.abs(lasted - lasting)) / (own[-1] - own[0])))
         error = path_error
-        if self._measure is not None and self._quantity is not None:
-            error = abs(quantity(self._measure, path) - self._quantity) / (abs(self._quantity) or 1.0)
+        if self._of is not None:
+            error = relative(np.abs(quantity(self._of, path) - self._quantity), self._quantity)
         return {
             "error": error,
             "path_error": path_error,
@@ -125,7 +124,7 @@ class ReferenceSolution:
         """L and p·v along a path, (K,) each."""
         t, x, v = symbols = self._lagrangian.sx_in()
         value = self._lagrangian(*symbols)
-        terms = ca.Function("terms", [t, x, v], [value, ca.densify(ca.jtimes(value, v, v))])
+        terms = ca.Function("terms", [t, x, v], [ca.densify(value), ca.densify(ca.jtimes(value, v, v))])
         first, second = at_places(terms, times, path(times), path(times, 1))
         return first[0], second[0]
 
@@ -148,18 +147,6 @@ def _between(path: Trajectory) -> np.ndarray:
 def _marks(problem: Problem) -> list[float]:
     """Times of the ends, and of the breakpoints that mean the same on every path; idle free ones may be anywhere."""
     return section_times(with_joined_phases(problem) if isinstance(problem, ControlProblem) else problem)
-
-
-def quantity(measure: Measure, path: Reference) -> float:
-    """A quantity of a path; a TypeError refuses what is no number, a ValueError infinity, NaN and exceptions."""
-    try:
-        value = measure(path)
-    except Exception as error:
-        raise ValueError(f"measure raised {error!r}") from error
-    checked = number(value)
-    if checked is None or not math.isfinite(checked):
-        raise (TypeError if checked is None else ValueError)(f"measure must return a finite number, got {value!r}")
-    return checked
 
 
 def finest(problem: AnyProblem, paths: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory]:

@@ -31,19 +31,18 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import progress
+from casadi_galerkin.solution.quantity import Quantity, check_quantity, quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.studies.parallel import picklable_problem
 from casadi_galerkin.studies.reference import (
     AnyProblem,
-    Measure,
     Reference,
     ReferenceSolution,
     check_reference,
     finest,
-    quantity,
 )
-from casadi_galerkin.studies.trade_table import Row, Trade
+from casadi_galerkin.studies.trade_table import Row, Trade, name_of
 
 FIRST_CALLS, REPEATS, LONG = 2, 15, 0.03  # first and repeated solves of a way; no repeats after so many seconds
 
@@ -68,7 +67,7 @@ class _Cell:
         self.row = replace(self.row, solve_seconds=float(np.fmin(self.row.solve_seconds, seconds)))
 
 
-def _cell(problem: AnyProblem, written: bytes, row: Row, guess: Guess | None, measure: Measure | None) -> _Cell:
+def _cell(problem: AnyProblem, written: bytes, row: Row, guess: Guess | None, of: Quantity | None) -> _Cell:
     """Solve in one way for the first time, more than once, and build what its repeats need.
 
     The second time finds CasADi's plugins loaded.  `written` is the pickled problem.
@@ -81,8 +80,8 @@ def _cell(problem: AnyProblem, written: bytes, row: Row, guess: Guess | None, me
             path = row.solve(fresh, guess)
             seconds.append(time.perf_counter() - began)
         again = _repeated(problem, row, guess)
-        if measure is not None:
-            quantity(measure, path)
+        if of is not None:
+            quantity(of, path)
     except (RuntimeError, ValueError) as failure:  # a ConvergenceError is a RuntimeError, and so is what CasADi raises
         return _Cell(replace(row, failure=str(failure)))
     if row.adaptive:
@@ -107,15 +106,15 @@ def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
     """The way on the fixed mesh that a tolerance has found, mapped to the guessed durations where these are free."""
     assert cell.path is not None
     row, joints = cell.row, map_times(cell.path.t, section_times(cell.path.problem), section_times(problem))
-    return Row(row.method, row.intervals, row.solver, row.tol, tuple(joints.tolist()))
+    return Row(row.method, row.intervals, row.solver, row.tol, row.of, tuple(joints.tolist()))
 
 
-def _cells(problem: AnyProblem, ways: list[Row], guess: Guess | None, measure: Measure | None) -> list[_Cell]:
+def _cells(problem: AnyProblem, ways: list[Row], guess: Guess | None, of: Quantity | None) -> list[_Cell]:
     """All ways, and then those on the meshes that tolerances have found, solved and repeated."""
     cells, waiting, written = list[_Cell](), list(ways), picklable_problem(problem)
     with progress("trade", (1 + REPEATS) * (len(ways) + len([way for way in ways if way.adaptive]))) as advance:
         while waiting:
-            cells.append(_cell(problem, written, waiting.pop(0), guess, measure))
+            cells.append(_cell(problem, written, waiting.pop(0), guess, of))
             if cells[-1].row.adaptive and cells[-1].path is not None:
                 waiting.append(_on_its_mesh(problem, cells[-1]))
             advance(1)
@@ -149,13 +148,14 @@ def _ways(
     tolerances: Sequence[float],
     solvers: Sequence[Solver],
     shooting: bool,
+    of: Quantity | None,
     guess: Guess | None,
 ) -> list[Row]:
     """All ways, not yet measured; refuses what does not fit."""
     if not grid and not tolerances:
         raise ValueError("give at least one method and one number of intervals, or a tolerance, got neither")
     stepped = isinstance(problem, InitialProblem)
-    options = {"tolerances": tolerances, "solvers": solvers, "guess": [] if guess is None else [guess]}
+    options = {"solvers": solvers, "guess": [] if guess is None else [guess]}
     extra = [name for name, value in options.items() if value and stepped]
     if extra:
         raise ValueError(f"an InitialProblem is solved step by step, and takes no {' and '.join(extra)}")
@@ -177,7 +177,10 @@ def _ways(
     chosen: Sequence[Solver | None] = solvers or [usual]
     ways = [Row(method, count, solver) for method, count in grid for solver in chosen]
     ways += [Row(method, count, shooting=True) for method, count in grid if shooting]
-    return ways + [Row(solver=solver, tol=check_tolerance(tol)) for solver in chosen for tol in tolerances]
+    aims = [None] if of is None else [None, of]
+    return ways + [
+        Row(solver=s, tol=check_tolerance(tol), of=aim) for s in chosen for tol in tolerances for aim in aims
+    ]
 
 
 def trade(
@@ -189,7 +192,7 @@ def trade(
     tolerances: Iterable[float] = (),
     solvers: Iterable[Solver] = (),
     shooting: bool = False,
-    measure: Measure | None = None,
+    of: Quantity | None = None,
     guess: Guess | None = None,
 ) -> Trade:
     """Solve a problem in every way that is asked for, and measure time and error of each.
@@ -206,13 +209,13 @@ def trade(
     reference : a Trajectory or a callable t -> (d,) over the same time span, that errors are differences to; where the
         duration is free, a Trajectory of any; default a solve several digits finer, whose own error is estimated and
         reported.  A callable tells the path alone: action, cost and energy are compared with those of such a solve
-    tolerances : several numbers, as `solve` takes them; not for an InitialProblem
+    tolerances : several numbers, as `solve` takes them
     solvers : several Solvers, as `solve` takes them; default the usual one.  Not for an InitialProblem
     shooting : whether to `shoot` as well, by every method on every number of intervals; for a BoundaryProblem
-    measure : a callable path -> number, the quantity whose error counts: a position at some time, a momentum, the cost.
-        The path is a Trajectory, unless `reference` is a callable, which can only be called; default the path itself,
-        everywhere.  Its error is relative to its value on the reference where that is not zero; a way fails where it
-        is not finite, or raises an exception
+    of : the quantity whose error counts, as for `solve`: a position at some time, a momentum, the cost.  Tolerances
+        then aim at it, beside those that aim at the path.  The path is a Trajectory, unless `reference` is a callable,
+        which can only be called; default the path itself, everywhere.  A way fails where `of` is not finite, or raises
+        an exception
     guess : a callable t -> (d,) or a Trajectory, for all ways and the reference: where several paths join the ends, it
         chooses one.  With `shooting`, a Trajectory, best a coarse one: it is the answer of a way on its own mesh
 
@@ -235,51 +238,46 @@ def trade(
     >>> round(measured.order(cg.Galerkin(2)), 1)
     3.0
     >>> measured = cg.trade(oscillator, [cg.Galerkin(2)], [4], tolerances=[1e-6], shooting=True,
-    ...     measure=lambda path: path.action)
-    >>> [row.way for row in measured.rows]
-    ['newton', 'shooting', 'newton, tol 1e-06', 'newton, mesh of 1e-06']
+    ...     of=lambda path: path.action)
+    >>> [row.way for row in measured.rows]  # doctest: +NORMALIZE_WHITESPACE
+    ['newton', 'shooting', 'newton, tol 1e-06', 'newton, tol 1e-06 of it', 'newton, mesh of 1e-06',
+     'newton, mesh of 1e-06 of it']
     >>> row = measured.cheapest(1e-6)
     >>> round(row.solve(oscillator).action, 5)
     0.32105
     """
     check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
-    if measure is not None and not callable(measure):
-        raise TypeError(f"measure must be a callable path -> number, got {measure!r}")
+    if of is not None:
+        check_quantity(of)
     grid = list(product(_listed("methods", methods), _listed("intervals", intervals)))
     given = _listed("tolerances", tolerances), _listed("solvers", solvers)
-    ways = _ways(problem, grid, *given, shooting, guess)
+    ways = _ways(problem, grid, *given, shooting, of, guess)
     if reference is not None:
-        check_reference(problem, reference, measure)
-    cells = _cells(problem, ways, guess, measure)
+        check_reference(problem, reference, of)
+    cells = _cells(problem, ways, guess, of)
     paths = [cell.path for cell in cells if cell.path is not None]
     if not paths:
         raise ConvergenceError(f"no way led to a path; the first failure: {cells[0].row.failure}")
-    truth, described, own = _truth(problem, reference, measure, paths)
+    truth, described, own = _truth(problem, reference, of, paths)
     rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
-    return Trade(tuple(rows), described, own, None if measure is None else _name(measure))
+    return Trade(tuple(rows), described, own, None if of is None else name_of(of))
 
 
 def _truth(
-    problem: AnyProblem, given: Reference | None, measure: Measure | None, paths: list[Trajectory]
+    problem: AnyProblem, given: Reference | None, of: Quantity | None, paths: list[Trajectory]
 ) -> tuple[ReferenceSolution, str, dict[str, Any]]:
     """What errors are measured against, in words, and its own errors by their names in a `Row`, where known."""
     if isinstance(given, Trajectory):
         known, own = given.error_estimate, dict[str, Any]()
         if known is not None:
             own = {"error": known, "path_error": known}
-        return ReferenceSolution(given, measure), "given" + (f", own error {known:.1e}" if known else ""), own
+        return ReferenceSolution(given, of), "given" + (f", own error {known:.1e}" if known else ""), own
     fine, finer = finest(problem, paths)
     if given is not None:
-        return ReferenceSolution(fine, measure, given), "given", {}
-    truth = ReferenceSolution(fine, measure)
+        return ReferenceSolution(fine, of, given), "given", {}
+    truth = ReferenceSolution(fine, of)
     own = truth.own_errors(finer)
     own["path_error"] = max(own["path_error"], fine.error_estimate or 0.0)
-    if measure is None:
+    if of is None:
         own["error"] = own["path_error"]
     return truth, f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own['error']:.1e}", own
-
-
-def _name(measure: Measure) -> str:
-    """Name of a function; of a lambda, which has none, what it is."""
-    name = getattr(measure, "__name__", "")
-    return name if name.isidentifier() else "what is measured"

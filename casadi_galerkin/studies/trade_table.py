@@ -21,6 +21,7 @@ from casadi_galerkin.problems.problem import check_kind, map_times
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
+from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver
 from casadi_galerkin.stepping.shooting import shoot
@@ -47,6 +48,7 @@ class Row:
     method, intervals : as `solve` takes them, or as a tolerance has found them; None where it has found none
     solver : as `solve` takes it; None where a path is found step by step
     tol : the tolerance; None of a fixed discretization
+    of : the quantity that it is the tolerance of; None of the path
     mesh : (N + 1,), joints that were found for `tol`, taken as a fixed mesh; None of all other rows
     shooting : whether the path is found by `shoot`
     unknowns : node values and controls solved for
@@ -77,6 +79,7 @@ class Row:
     intervals: int | None = None
     solver: Solver | None = None
     tol: float | None = None
+    of: Quantity | None = None
     mesh: tuple[float, ...] | None = None
     shooting: bool = False
     unknowns: int = 0
@@ -100,7 +103,7 @@ class Row:
             return shoot(*given, guess=cast(Trajectory | None, guess))
         if self.mesh is None:
             method, intervals = (None, None) if self.adaptive else (self.method, self.intervals)
-            return solve(problem, method, intervals, tol=self.tol, guess=guess, solver=self.solver)
+            return solve(problem, method, intervals, tol=self.tol, of=self.of, guess=guess, solver=self.solver)
         check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
         mesh = map_times(np.array(self.mesh), [self.mesh[0], self.mesh[-1]], problem.t_span)
         return solve(problem, self.method, mesh=mesh, guess=guess, solver=self.solver)
@@ -118,7 +121,8 @@ class Row:
             return "shooting"
         if self.tol is None:
             return name
-        return f"{name}, {'tol' if self.adaptive else 'mesh of'} {self.tol:g}"
+        of = "" if self.of is None else f" of {name_of(self.of)}"
+        return f"{name}, {'tol' if self.adaptive else 'mesh of'} {self.tol:g}{of}"
 
     def __repr__(self) -> str:
         """The way, what it misses and what it takes, in one line."""
@@ -266,6 +270,12 @@ class Trade(Table, Pictured):
             lost = Counter(row.way for row in self.rows if row.failure is not None)
             lines += [f"failed: {count} by {way}" for way, count in lost.items()]
         return "\n".join(lines)
+
+
+def name_of(of: Quantity) -> str:
+    """Name of a function; of a lambda, which has none, "it"."""
+    name = getattr(of, "__name__", "")
+    return name if name.isidentifier() else "it"
 
 
 def _line(row: Row) -> tuple[str, str, str]:

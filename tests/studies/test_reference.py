@@ -116,45 +116,43 @@ def test_a_callable_tells_the_path_and_a_solve_its_cost_and_energy():
     assert max(row.error, row.functional_error, row.energy_error) < 1e-8  # IPOPT's tolerance
 
 
-def test_a_measured_quantity_is_relative_to_its_value_on_the_reference(oscillator):
+def test_a_quantity_is_relative_to_its_value_on_the_reference(oscillator):
     """The position at t = 1 under a reference of sin(t) that is half of it, then all of it."""
-    row = cg.trade(oscillator, [cg.Galerkin(8)], [8], lambda t: [np.sin(t) / 2], measure=lambda path: path(1.0)[0])
+    row = cg.trade(oscillator, [cg.Galerkin(8)], [8], lambda t: [np.sin(t) / 2], of=lambda path: path(1.0)[0])
     assert row.rows[0].error == pytest.approx(1.0, rel=REFERENCE)
-    exact = cg.trade(oscillator, [cg.Galerkin(8)], [8], lambda t: [np.sin(t)], measure=lambda path: path(1.0)[0])
+    exact = cg.trade(oscillator, [cg.Galerkin(8)], [8], lambda t: [np.sin(t)], of=lambda path: path(1.0)[0])
     assert exact.rows[0].error < REFERENCE
 
 
 def test_a_quantity_that_vanishes_has_an_absolute_error(oscillator):
     still = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 1.0), [1.0], [2.0])
-    measured = cg.trade(still, [cg.Galerkin(1)], [2], lambda t: [1 + t], measure=lambda path: path(0.0)[0] - 1.0)
+    measured = cg.trade(still, [cg.Galerkin(1)], [2], lambda t: [1 + t], of=lambda path: path(0.0)[0] - 1.0)
     assert measured.rows[0].error < REFERENCE
 
 
-@pytest.mark.parametrize(
-    ("value", "error"), [(None, TypeError), (np.nan, ValueError), ("far", TypeError), ([1.0, 2.0], TypeError)]
-)
-def test_a_measure_that_is_no_number_is_refused_before_any_cell(oscillator, value, error, monkeypatch):
+@pytest.mark.parametrize(("value", "error"), [(None, TypeError), (np.nan, ValueError), ("far", TypeError)])
+def test_a_quantity_that_is_no_number_is_refused_before_any_cell(oscillator, value, error, monkeypatch):
     module = import_module("casadi_galerkin.studies.trade")
-    monkeypatch.setattr(module, "_cell", lambda *given: pytest.fail("solved before the measure was tried"))
-    with pytest.raises(error, match="measure must return a finite number, got"):
-        cg.trade(oscillator, [cg.Galerkin(2)], [4], lambda t: [np.sin(t)], measure=lambda path: value)
+    monkeypatch.setattr(module, "_cell", lambda *given: pytest.fail("solved before the quantity was tried"))
+    with pytest.raises(error, match="of (must return finite|returns must be real) numbers, got"):
+        cg.trade(oscillator, [cg.Galerkin(2)], [4], lambda t: [np.sin(t)], of=lambda path: value)
 
 
 def test_a_way_whose_quantity_is_not_defined_fails_alone(oscillator):
     def at_the_finest_joint(path):
         return path.x[0, 1] if len(path.t) > 5 else np.nan
 
-    coarse, fine = cg.trade(oscillator, [cg.Galerkin(4)], [4, 8], measure=at_the_finest_joint).rows
-    assert coarse.failure == "measure must return a finite number, got nan"
+    coarse, fine = cg.trade(oscillator, [cg.Galerkin(4)], [4, 8], of=at_the_finest_joint).rows
+    assert coarse.failure == "of must return finite numbers, got nan"
     assert fine.failure is None
 
 
-def test_an_exception_of_a_measure_is_a_failure_that_names_it(oscillator):
-    coarse, fine = cg.trade(oscillator, [cg.Galerkin(4)], [4, 8], measure=lambda path: path.x[0, 5]).rows
-    assert coarse.failure.startswith("measure raised IndexError(")
+def test_an_exception_of_a_quantity_is_a_failure_that_names_it(oscillator):
+    coarse, fine = cg.trade(oscillator, [cg.Galerkin(4)], [4, 8], of=lambda path: path.x[0, 5]).rows
+    assert coarse.failure.startswith("of raised IndexError(")
     assert fine.failure is None
-    with pytest.raises(ValueError, match="measure raised KeyError"):
-        cg.trade(oscillator, [cg.Galerkin(4)], [4], lambda t: [np.sin(t)], measure=lambda path: {}["reach"])
+    with pytest.raises(ValueError, match="of raised KeyError"):
+        cg.trade(oscillator, [cg.Galerkin(4)], [4], lambda t: [np.sin(t)], of=lambda path: {}["reach"])
 
 
 def layer(t):

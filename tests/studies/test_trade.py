@@ -163,7 +163,7 @@ def test_a_trade_in_which_nothing_is_solved_raises():
         ([cg.Galerkin(2)], [4], {"tolerances": 1e-6}, TypeError, "tolerances must be several, in a list, got 1e-06"),
         ([cg.Galerkin(2)], [4], {"solvers": cg.ipopt}, TypeError, r"solvers must be several, in a list, got cg\.ipopt"),
         ([cg.Galerkin(2)], [4], {"shooting": 1}, TypeError, "shooting must be True or False, got 1"),
-        ([cg.Galerkin(2)], [4], {"measure": 1.0}, TypeError, "measure must be a callable path -> number, got 1.0"),
+        ([cg.Galerkin(2)], [4], {"of": 1.0}, TypeError, "of must be a callable path -> number or array, got 1.0"),
         (
             [cg.Galerkin(2)],
             [4],
@@ -202,7 +202,6 @@ def test_a_trade_of_no_problem_is_refused():
     ("changes", "message"),
     [
         ({"guess": lambda t: [t]}, "an InitialProblem is solved step by step, and takes no guess"),
-        ({"tolerances": [1e-6]}, "and takes no tolerances"),
         ({"solvers": [cg.newton]}, "and takes no solvers"),
         ({"shooting": True}, "only a BoundaryProblem is solved by shooting, got InitialProblem"),
     ],
@@ -249,9 +248,10 @@ def test_control_problems_are_traded_alike():
 def test_control_problems_are_traded_by_their_cost_and_to_tolerances():
     """Degree 2 has the cost to the fourth order, while the path between the joints is of the third."""
     problem, degree = pendulum_in_three(), cg.Galerkin(2)
-    measured = cg.trade(problem, [degree], (8, 16, 32), tolerances=[1e-5], measure=lambda path: path.cost)
-    assert [row.way for row in measured.rows[3:]] == ["ipopt, tol 1e-05", "ipopt, mesh of 1e-05"]
-    assert measured.quantity == "what is measured"
+    measured = cg.trade(problem, [degree], (8, 16, 32), tolerances=[1e-5], of=lambda path: path.cost)
+    ways = ["ipopt, tol 1e-05", "ipopt, tol 1e-05 of it", "ipopt, mesh of 1e-05", "ipopt, mesh of 1e-05 of it"]
+    assert [row.way for row in measured.rows[3:]] == ways
+    assert measured.quantity == "it"
     assert [row.error for row in measured.rows] == [row.functional_error for row in measured.rows]
     assert measured.order(degree) == pytest.approx(4, abs=BAND)
     cheap = measured.cheapest(1e-4)
