@@ -15,7 +15,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshe
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.functional.boundary_terms import end_velocities, functional_of, given_values
 from casadi_galerkin.functional.buffers import fork_waits
 from casadi_galerkin.functional.mapping import PointMap
@@ -226,7 +226,7 @@ class BoundaryGraph:
         multipliers = np.r_[numbering.positions : before, before + count : last]
         if len(multipliers):
             with self.stationarity.linearization() as at:
-                found = at.least_squares(unknowns, data, multipliers)
+                found = at.least_squares(unknowns, data, multipliers, component_sizes(values.T))
             if np.all(np.isfinite(found)):
                 unknowns[multipliers] = found
         return unknowns

@@ -176,6 +176,13 @@ class LinearSolver:
         return self._function("largest", inputs, {"scale": ca.vertcat(*map(ca.norm_inf, ca.horzsplit(values)))})
 
     @cached_property
+    def without_multipliers(self) -> np.ndarray:
+        """Numbers of the nonzeros of ∇²S in neither a row nor a column of a multiplier."""
+        first, last = self.numbering.positions, self.numbering.positions + self.numbering.multipliers
+        row, column = (np.array(index, dtype=int) for index in self.sparsity.get_triplet())
+        return np.flatnonzero(((row < first) | (row >= last)) & ((column < first) | (column >= last)))
+
+    @cached_property
     def diagonal(self) -> list[np.ndarray]:
         """Numbers of the nonzeros of ∇²S on its diagonal, for each component of the path."""
         row, column = (np.array(index, dtype=int) for index in self.sparsity.get_triplet())

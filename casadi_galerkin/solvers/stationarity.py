@@ -296,18 +296,21 @@ class Linearization:
                 y[:] = np.nan
         return list(y.reshape(columns, -1))
 
-    def least_squares(self, unknowns: np.ndarray, data: Data, multipliers: np.ndarray) -> np.ndarray:
+    def least_squares(self, unknowns: np.ndarray, data: Data, multipliers: np.ndarray, sizes: np.ndarray) -> np.ndarray:
         """The multipliers, by their numbers, which are zero among `unknowns`, that leave the least of ∇S.
 
-        Virtual work is measured, ∇S times the sizes of the unknowns.  With G their rows of ∇²S, and W diagonal, these
-        are the multipliers of W y + Gᵀμ = -∇S, G y = 0.
+        Virtual work is measured, ∇S times the `sizes` of components, (d,).  With G the rows of ∇²S that belong to the
+        multipliers, and W the squares of one over the sizes, W y + Gᵀμ = -∇S and G y = 0.
         """
-        rhs, sizes = self.relinearize(unknowns, data), self.stationarity.sizes(unknowns, data)
-        rhs[multipliers] = 0.0
-        row, column = (np.array(index) for index in self.stationarity.linear_solver.sparsity.get_triplet())
-        measured = np.isfinite(sizes[row]) & np.isfinite(sizes[column])
-        self.matrix[measured] = np.where(row == column, sizes[row] ** -2.0, 0.0)[measured]
-        return self.solve(rhs)[0][multipliers]
+        self._evaluate("derivatives", unknowns, data)
+        linear = self.stationarity.linear_solver
+        self.gradient[multipliers] = self.matrix[linear.without_multipliers] = 0.0
+        for entries, size in zip(linear.diagonal, sizes, strict=True):
+            self.matrix[entries] = size**-2.0
+        if linear.numbering.free_duration:
+            self.matrix[-1] = 1.0
+        self._solve(linear.newton_step, "step", "norm")
+        return self._arrays["step"][multipliers]
 
     def refined(
         self, unknowns: np.ndarray, data: Data, rhs: Iterable[np.ndarray], solutions: list[np.ndarray]
