@@ -296,7 +296,7 @@ class Trajectory(Path):
     def _energy(self, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Energies at K times, from values (d, K)."""
         (lagrangian,) = at_places(self._lagrangian, t, x, velocity)
-        return np.sum(momentum * velocity, axis=0) - lagrangian[0]
+        return np.sum(momentum * velocity, axis=0) - np.sum(lagrangian, axis=0)
 
     def table(self, times: ArrayLike | None = None) -> Columns:
         """Times, positions, velocities, momenta and energy, by name.

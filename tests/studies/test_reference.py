@@ -134,7 +134,7 @@ def test_a_quantity_that_vanishes_has_an_absolute_error(oscillator):
 def test_a_quantity_that_is_no_number_is_refused_before_any_cell(oscillator, value, error, monkeypatch):
     module = import_module("casadi_galerkin.studies.trade")
     monkeypatch.setattr(module, "_cell", lambda *given: pytest.fail("solved before the quantity was tried"))
-    with pytest.raises(error, match="of (must return finite|returns must be real) numbers, got"):
+    with pytest.raises(error, match=r"of (must return finite|returns must be real) numbers, got"):
         cg.trade(oscillator, [cg.Galerkin(2)], [4], lambda t: [np.sin(t)], of=lambda path: value)
 
 
