@@ -11,6 +11,7 @@ import casadi_galerkin as cg
 
 GRAVITY = 9.81  # m/s²
 DURATION = 0.5  # s
+FRAMES = 25
 START, AT_START = (1.0, None), (None, 0.0)  # rad, rad/s
 END = (0.34020240315987093, 0.67472456539636882)  # rad, from below
 
@@ -49,7 +50,7 @@ def film(path):
     """The mechanism moving, at half its speed."""
     axes = cg.panels(size=(4.0, 4.0))
     axes.set(xlabel="x in m", ylabel="y in m")
-    return path.animate(places, axes, seconds=2 * DURATION, unit="s")
+    return path.animate(places, axes, seconds=2 * DURATION, unit="s", frames=FRAMES)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.path import of_parts
-from casadi_galerkin.solution.plotting import FIGURE_SIZE, draw_bounds, draw_multipliers, panels, plot_path
+from casadi_galerkin.solution.plotting import draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
 
@@ -333,8 +333,7 @@ class ControlTrajectory(Trajectory):
         if axes is not None:
             return super().plot(axes, labels, time)
         controlled, limited = bool(len(self.control.values)), self.path_multipliers is not None
-        count = 2 + controlled + limited
-        drawn = panels(count, size=(FIGURE_SIZE[0], (0.1 + 0.5 * count) * FIGURE_SIZE[1]), sharex=True)
+        drawn = panels(2 + controlled + limited, sharex=True)
         top = drawn[0]
         super().plot(top, labels, "")
         draw_bounds(top, np.array(self.problem.position_bounds))

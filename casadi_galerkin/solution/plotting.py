@@ -23,22 +23,19 @@ if TYPE_CHECKING:
 # M. Okabe and K. Ito's palette, told apart by color-blind readers
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 GRID = "0.92"  # gray that leaves the lines in front
-FIGURE_SIZE = (4.6, 3.2)  # inches, legible where three stand side by side on a page
 MOST_DOTS = 200  # joints beyond which their dots would hide the line
-LEGEND_BESIDE = 4  # number of names from which the legend is beside the axes, where it hides no line
-FRAMES_A_SECOND = 25
 
 Line: TypeAlias = tuple[np.ndarray, np.ndarray]  # times (K,) and values (d, K)
 Points: TypeAlias = Sequence[tuple[float, float]]
 
 
-def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] = FIGURE_SIZE, **options: Any) -> Any:
+def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] | None = None, **options: Any) -> Any:
     """Matplotlib axes of a new figure in the style of the package's pictures: one, or an array of rows and columns.
 
     Parameters
     ----------
     rows, columns : numbers of panels
-    size : of the figure, in inches
+    size : of the figure, in inches; default Matplotlib's own
     options : of Matplotlib's ``subplots``, such as ``sharex=True``
 
     Examples
@@ -60,13 +57,13 @@ def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] = FIGURE_S
     return drawn
 
 
-def axes_or_new(axes: Axes | None, size: tuple[float, float] = FIGURE_SIZE) -> Axes:
-    """Return the axes given, or those of a new figure of that size in inches."""
+def axes_or_new(axes: Axes | None) -> Axes:
+    """Return the axes given, or those of a new figure."""
     if axes is not None:
         if not callable(getattr(axes, "plot", None)):
             raise TypeError(f"axes must be Matplotlib axes, got {axes!r}; all other arguments are given by name")
         return axes
-    return panels(size=size)
+    return panels()
 
 
 class Pictured(ABC):
@@ -112,9 +109,7 @@ def plot_path(
             axes.plot(points[0], dots, ".", color=color, markersize=dot)
     alone, legend = count == 1, 1 < count <= len(COLORS)
     axes.set(xlabel=time, ylabel=names[0] if alone else "" if legend and labels is not None else name)
-    if legend and count < LEGEND_BESIDE:
-        axes.legend(fontsize="small")
-    elif legend:
+    if legend:  # beside the axes, where it hides no line
         axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     return axes
 
@@ -124,7 +119,7 @@ def plot_family(
 ) -> Axes:
     """Draw one component of several paths; `lines` are their names, times (K,) and values (K,)."""
     (heading,) = _named("x", 1, labels)
-    axes = axes_or_new(axes, (FIGURE_SIZE[0], FIGURE_SIZE[1] + 0.2 * len(lines)))
+    axes = axes_or_new(axes)
     for i, (name, times, values) in enumerate(lines):
         axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
     axes.set(xlabel=time, ylabel=heading)
@@ -143,7 +138,7 @@ def plot_plane(
 ) -> Axes:
     """Draw a way through a plane: a line through places (2, K), joints (2, N + 1) as dots."""
     names = _named(name, 2, labels)
-    axes = axes_or_new(axes, (FIGURE_SIZE[0], 0.9 * FIGURE_SIZE[0]))
+    axes = axes_or_new(axes)
     if not axes.lines:
         axes.set_prop_cycle(color=COLORS)
     (line,) = axes.plot(*places)
@@ -248,7 +243,7 @@ def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | 
     """Draw the nonzeros of a square matrix, row 0 on top; one without rows is drawn empty."""
     from matplotlib.ticker import MaxNLocator
 
-    axes, side = axes_or_new(axes, (FIGURE_SIZE[0], FIGURE_SIZE[0])), max(size, 1)
+    axes, side = axes_or_new(axes), max(size, 1)
     axes.plot(columns, rows, "s", color=COLORS[0], markersize=max(0.4, 230 / side), markeredgewidth=0)
     axes.set(xlim=(-0.5, side - 0.5), ylim=(side - 0.5, -0.5), aspect="equal", xlabel="unknown", ylabel="equation")
     axes.set_title(f"{len(rows)} nonzeros, {100 * len(rows) / side**2:.3g} % of {size} × {size}", fontsize="medium")
@@ -268,7 +263,7 @@ def animate_linkage(
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
-    axes = axes_or_new(axes, (FIGURE_SIZE[0], FIGURE_SIZE[0]))
+    axes = axes_or_new(axes)
     low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
     middle, half = (low + high) / 2, 0.55 * max(np.max(high - low), TINY)
     axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal")
@@ -290,11 +285,7 @@ def animate_linkage(
     return FuncAnimation(drawn, frame, frames=len(times), interval=1000 * interval)
 
 
-LINE_STYLES: Sequence[tuple[str, Sequence[str], dict[str, Any]]] = (  # names, values, and options of the legend
-    ("color", COLORS, {"linewidth": 3}),
-    ("linestyle", ("-", "--", ":", "-."), {"color": "0.3", "linewidth": 1}),
-    ("marker", ("o", "s", "^", "D", "v", "P", "*"), {"color": "0.3", "linestyle": "", "markersize": 4}),
-)
+LOOKS = {"color": COLORS, "linestyle": ("-", "--", ":", "-."), "marker": ("o", "s", "^", "D", "v", "P", "*")}
 
 
 def plot_work_precision(
@@ -307,7 +298,7 @@ def plot_work_precision(
     from matplotlib.lines import Line2D
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    axes = axes_or_new(axes, (1.2 * FIGURE_SIZE[0], 1.5 * FIGURE_SIZE[1]))
+    axes = axes_or_new(axes)
 
     def draw(points: Points, **looks: Any) -> Artist:
         """An error of zero has no place on a logarithmic axis."""
@@ -316,10 +307,11 @@ def plot_work_precision(
     entries: list[Artist] = [draw(front, label="the front", color="0.85", linewidth=7, zorder=0)]
     entries.append(axes.axhspan(floor / 10, floor, color="0.93", zorder=-1, label="rounding, or the reference's error"))
     chosen: list[dict[str, dict[str, Any]]] = []
-    for k, (style, values, sample) in enumerate(LINE_STYLES):
+    for k, (style, values) in enumerate(LOOKS.items()):
         names = dict.fromkeys(key[k] for key, _ in lines)
         chosen.append({name: {style: values[i % len(values)]} for i, name in enumerate(names)})
         if k == 0 or len([name for name in names if name]) > 1:  # a single rule or solver is not named
+            sample = {"color": "0.3", "linestyle": "" if style == "marker" else "-"}
             entries += [Line2D([], [], label=name, **sample | look) for name, look in chosen[k].items() if name]
     for key, points in lines:
         color, dashes, dots = (looks[name] for looks, name in zip(chosen, key, strict=True))

@@ -15,7 +15,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import largest_difference as difference_of_paths
 from casadi_galerkin.calculus.mesh_adaptation import truncation_error
-from casadi_galerkin.calculus.numbers import checked_index, counted, number, spanned, told_apart
+from casadi_galerkin.calculus.numbers import checked_index, counted, number, spanned, told_apart, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import times_within
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.callables import with_parameters
@@ -27,7 +27,7 @@ from casadi_galerkin.solution.error_indicators import error_indicators
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_plane
+from casadi_galerkin.solution.plotting import animate_linkage, plot_plane
 from casadi_galerkin.solution.quantity import Quantity, check_quantity, largest_difference, quantity, relative
 
 if TYPE_CHECKING:
@@ -350,6 +350,7 @@ class Trajectory(Path):
         axes: Axes | None = None,
         seconds: float | None = None,
         unit: str = "",
+        frames: int = 100,
     ) -> FuncAnimation:
         """Move a planar mechanism along the path; returns Matplotlib's FuncAnimation, to show or to save.
 
@@ -360,13 +361,13 @@ class Trajectory(Path):
         axes : Matplotlib axes to draw into, labeled by their owner; default a new figure
         seconds : how long it runs; default the duration of the path, taken as seconds
         unit : of the time shown in the title
+        frames : how many, evenly from start to end
         """
         duration = float(self.t[-1] - self.t[0]) if seconds is None else number(seconds)
         if duration is None or not 0 < duration < math.inf:
             raise ValueError(f"seconds must be a positive number, got {seconds!r}")
-        count = max(2, round(FRAMES_A_SECOND * duration))
-        times = np.linspace(self.t[0], self.t[-1], count)
-        return animate_linkage(times, self._places(points, times), duration / count, axes, unit)
+        times = np.linspace(self.t[0], self.t[-1], whole_number("frames", frames, 2))
+        return animate_linkage(times, self._places(points, times), duration / frames, axes, unit)
 
     def _asked(self) -> list[str]:
         """A line on the quantity that was asked for, if any."""

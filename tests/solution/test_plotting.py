@@ -237,7 +237,7 @@ def test_animation_moves_the_mechanism_along_the_path(tmp_path):
     from PIL import Image
 
     path = planar().solve()
-    movie = path.animate(rods, seconds=0.2)
+    movie = path.animate(rods, seconds=0.2, frames=5)
     target = tmp_path / "movie.gif"
     movie.save(target, writer="pillow", dpi=40)
     with Image.open(target) as image:
@@ -255,12 +255,13 @@ def test_animation_takes_the_duration_of_the_path_and_the_axes_given(tmp_path):
 
     figure, axes = plt.subplots()
     axes.set_xlabel("x in m")
-    movie = planar(0.2).solve().animate(rods, axes, unit="ms")
+    movie = planar(0.2).solve().animate(rods, axes, unit="ms", frames=4)
     movie.save(tmp_path / "movie.gif", writer="pillow", dpi=20)
     assert movie._fig is figure
     assert axes.get_title() == "t = 0.200 ms"
     assert axes.get_xlabel() == "x in m"
-    assert len(axes.get_lines()[0].get_xdata()) == 5  # 25 a second
+    assert len(axes.get_lines()[0].get_xdata()) == 4
+    assert movie._interval == 50  # milliseconds
 
 
 def test_points_that_are_no_numbers_are_refused():
@@ -269,7 +270,7 @@ def test_points_that_are_no_numbers_are_refused():
 
 
 def test_points_of_another_shape_are_refused():
-    with pytest.raises(ValueError, match=r"points must return an array of shape \(n, 2, 25\), got \(2, 25\)"):
+    with pytest.raises(ValueError, match=r"points must return an array of shape \(n, 2, 100\), got \(2, 100\)"):
         planar().solve().animate(lambda x: x)
 
 
