@@ -23,6 +23,7 @@ import pytest
 from paths import EXAMPLES
 from scenes import TROESCH
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.optimize import brentq, fsolve, minimize
 from scipy.special import chdtri, ellipe, ellipk, mathieu_b
 from slow import slow
@@ -826,6 +827,32 @@ def both_solvers_drop_the_stage(module, path):
     np.testing.assert_allclose(other.x, path.x, rtol=1e-6, atol=1e-8)
 
 
+def reacts_as_published(module, path):
+    found = [*path.x[:, -1], path.control(module.DURATION)[0]]
+    np.testing.assert_allclose(found, module.PUBLISHED, rtol=1e-9)
+
+
+def squares_as_published(module, path):
+    assert path.cost == pytest.approx(module.PUBLISHED, abs=5e-7)  # as many digits as there are
+    p = path.parameters
+    matrix = np.zeros((5, 5))
+    matrix[:, 0] = -(p[0] + p[1]), p[0], p[1], 0, 0
+    matrix[2:, 2] = -(p[2] + p[3]), p[2], p[3]
+    matrix[[2, 4], 4] = p[4], -p[4]
+    there = np.array([expm(matrix * t)[:, 0] for t in module.TIMES])
+    assert np.sum((100 * there - module.MEASURED) ** 2) == pytest.approx(path.cost, rel=1e-8)
+
+
+def climbs_by_tables(module, path):
+    assert path.cost == pytest.approx(module.PUBLISHED, rel=0.02)  # through the same table, by another spline
+
+    def rates(t, x):
+        return path.problem.rates(t, x, 0.0, path.control(t)).full().ravel()
+
+    flown = solve_ivp(rates, path.t[[0, -1]], path.x[:, 0], rtol=1e-8)
+    np.testing.assert_allclose(flown.y[:, -1], path.x[:, -1], rtol=0, atol=2e-3)  # km, km/s, rad, t
+
+
 TABLE = [
     ("lambert", vallados_velocities, "the Lambert transfer has Vallado's velocities"),
     ("lambert", keplers_invariants, "the Lambert transfer conserves energy and angular momentum"),
@@ -909,6 +936,9 @@ TABLE = [
     ("moon_landing", landed_by_both_solvers, "fatrop lands as IPOPT does"),
     ("two_stage_rocket", steered_by_a_linear_tangent, "the rocket of two stages steers by a linear tangent"),
     ("two_stage_rocket", both_solvers_drop_the_stage, "fatrop drops the stage as IPOPT does"),
+    ("robertson", reacts_as_published, "Robertson's reactions are as published, the third one without a rate"),
+    ("pinene", squares_as_published, "the constants of pinene leave the published sum of squares"),
+    ("climb", climbs_by_tables, "the aircraft climbs nearly as fast as published, and flies there when integrated"),
     ("hypersensitive", layers_at_both_ends, "the hypersensitive problem has its two layers at the exact cost"),
     ("goddard", as_high_as_published, "Goddard's rocket gets as high as published, and flies there when integrated"),
     ("rolling_hills", over_and_over, "the car goes over the hills for ever, from wherever it begins"),
