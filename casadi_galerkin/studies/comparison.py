@@ -252,7 +252,7 @@ def _growth_rate(t: np.ndarray, gap: np.ndarray) -> float:
 
 def _condition_stepwise(path: Trajectory) -> float:
     """κ of the map from (x_0, p_0) to the joints."""
-    growth = accumulated(jacobians(path))[:, : len(path.x)]
+    growth = accumulated(jacobians(path, path.problem))[:, : len(path.x)]
     positions, momenta = component_sizes(path.x), component_sizes(path.momentum)
     with np.errstate(over="ignore"):
         return float(np.max(np.abs(growth) @ np.concatenate((positions, momenta)) / positions))

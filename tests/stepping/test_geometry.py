@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from constrained import MECHANISMS
-from control_problems import double_integrator
 from motions import MOTIONS, kepler, oscillator, start_of
 from slow import slow
 
@@ -48,11 +47,9 @@ def test_geometry_is_that_of_the_parameters_that_were_solved_for():
     np.testing.assert_allclose(step, expected, rtol=0, atol=1e-13)
 
 
-def test_geometry_refuses_what_it_does_not_know_the_forces_of():
-    with pytest.raises(TypeError, match=r"geometry takes the path of .*got one of ControlProblem"):
-        cg.geometry(cg.solve(double_integrator(), cg.Galerkin(3), intervals=2))
+def test_geometry_refuses_what_is_no_path():
     with pytest.raises(TypeError, match="geometry takes a Trajectory, got BoundaryProblem"):
-        cg.geometry(cg.BoundaryProblem(lambda t, x, v: v[0] ** 2, (0, 2), [0.0], [1.0]))
+        cg.geometry(cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9]))
 
 
 @pytest.mark.parametrize("scene", MOTIONS)
@@ -163,3 +160,57 @@ def test_a_symmetry_that_is_not_finite_on_the_path_is_refused():
     path = cg.solve(start, cg.Galerkin(2), 4)
     with pytest.raises(ValueError, match=r"what symmetry returns must be finite, got \[ 1. inf\] at x = \[1. 0.\]"):
         cg.geometry(path, symmetry=lambda x: [1, 1 / x[1]])
+
+
+def turned(**changes):
+    """A plane move under a force and a cost that a rotation does not change."""
+    rules = {
+        "force": lambda t, x, v, u: u - x * ca.dot(x, x),
+        "running_cost": lambda t, x, v, u: ca.dot(u, u) / 2 + ca.dot(x, x),
+        "controls": 2,
+    }
+    ends = [1.0, 0.0], [0.3, 1.2], [0.0, 0.5], [0.2, 0.0]
+    return cg.ControlProblem(lambda t, x, v: ca.dot(v, v) / 2, (0, 2), *ends, **{**rules, **changes})
+
+
+def rotation(x):
+    return [-x[1], x[0]]
+
+
+def test_a_symmetry_of_cost_and_forces_is_conserved_along_an_optimal_path_to_the_methods_order():
+    spreads = []
+    for intervals in (6, 12, 24):
+        kept = cg.geometry(cg.solve(turned(), cg.Galerkin(3), intervals), rotation)
+        assert kept.symmetry_defect < 1e-14
+        spreads.append(np.ptp(kept.momentum_map))
+    np.testing.assert_allclose(np.log2(np.divide(spreads[:-1], spreads[1:])), 6, atol=0.4)
+
+
+def test_a_cost_without_the_symmetry_is_seen():
+    kept = cg.geometry(
+        cg.solve(turned(running_cost=lambda t, x, v, u: u[0] ** 2 + 2 * u[1] ** 2), cg.Galerkin(3), 8), rotation
+    )
+    assert kept.symmetry_defect > 1e-2
+    assert "of its terms" in repr(kept)
+
+
+def test_a_scaling_of_space_and_time_is_conserved():
+    """L = v²/2 - a/x² scales like 1/t: x·p/2 - E t is constant."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 0.1 / x[0] ** 2, (0.0, 2.0), [1.0], [2.0])
+    kept = cg.geometry(cg.solve(problem, tol=1e-10), (lambda x: x / 2, lambda t: t))
+    assert np.ptp(kept.momentum_map) < 1e-10
+    assert kept.symmetry_defect < 1e-14
+    assert cg.geometry(cg.solve(problem, tol=1e-10), lambda x: x / 2).symmetry_defect > 0.1
+
+
+def test_a_force_along_the_symmetry_is_seen():
+    problem = cg.InitialProblem(
+        lambda t, x, v: ca.dot(v, v) / 2, (0, 1), [1.0, 0.0], velocity=[0.0, 1.0], force=lambda t, x, v: -v
+    )
+    assert cg.geometry(cg.solve(problem, cg.Galerkin(3), 8), rotation).symmetry_defect > 0.1
+
+
+@pytest.mark.parametrize("changes", [{"symmetry": (rotation, lambda t: t)}])
+def test_a_symmetry_of_times_is_refused_for_an_optimal_path(changes):
+    with pytest.raises(ValueError, match="moves neither times nor components that follow rates"):
+        cg.geometry(cg.solve(turned(), cg.Galerkin(3), 8), **changes)
