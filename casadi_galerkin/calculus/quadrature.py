@@ -11,9 +11,8 @@ that sum to 1 (paper, section 3.2).  Two differences from the text, both stated 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, wraps
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -21,8 +20,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import counted, real_array, whole_number
 
-SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from arithmetic to 1e-15
-EXACTNESS_TOLERANCE = 1e-10  # of Legendre polynomials, whose slopes reach n (n + 1): points with 12 digits pass
+DIGITS = 1e-12  # points and weights come from tables with about 13 digits, or from arithmetic to 1e-15
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,7 +54,7 @@ class Quadrature:
             raise ValueError(f"points and weights must be finite numbers, got {q} and {w}")
         if q[0] < 0 or q[-1] > 1 or np.any(np.diff(q) <= 0):
             raise ValueError(f"points must increase within [0, 1], got {q}")
-        if abs(w.sum() - 1) > SUM_TOLERANCE:
+        if abs(w.sum() - 1) > DIGITS:
             raise ValueError(f"weights must sum to 1, got a sum of {float(w.sum())!r}")
         keep = w != 0
         self.__dict__.update(points=tuple(q[keep].tolist()), weights=tuple(w[keep].tolist()))  # the class is frozen
@@ -78,9 +76,9 @@ class Quadrature:
         """
         q, w = np.array(self.points), np.array(self.weights)
         # No rule with r points is exact beyond degree 2r - 1, so degree 2r always fails.
-        moments = legendre.legvander(2 * q - 1, 2 * len(q)).T @ w
+        moments, degrees = legendre.legvander(2 * q - 1, 2 * len(q)).T @ w, np.arange(2 * len(q) + 1)
         moments[0] -= 1
-        return int(np.argmax(np.abs(moments) > EXACTNESS_TOLERANCE))
+        return int(np.argmax(np.abs(moments) > DIGITS * (1 + degrees * (degrees + 1))))  # their slopes reach n (n + 1)
 
 
 def _roots(series: np.ndarray) -> np.ndarray:
@@ -97,26 +95,11 @@ def _legendre(n: int, x: np.ndarray) -> np.ndarray:
     return legendre.legvander(x, n)[:, n]
 
 
-def _family(least: int) -> Callable[[Callable[[int], Quadrature]], Callable[[int], Quadrature]]:
-    """Decorate a family of rules: check the number of points, at least `least`, and cache the rules last built."""
-
-    def checked(build: Callable[[int], Quadrature]) -> Callable[[int], Quadrature]:
-        kept, name = lru_cache(maxsize=128)(build), build.__name__
-
-        @wraps(build)
-        def rule(n: int) -> Quadrature:
-            return kept(whole_number(f"the number of points of {name}", n, least))
-
-        return rule
-
-    return checked
-
-
 def _from_symmetric_interval(x: np.ndarray, w: np.ndarray) -> Quadrature:
     return Quadrature((1 + x) / 2, w / w.sum())
 
 
-@_family(1)
+@lru_cache(128, typed=True)
 def gauss(n: int) -> Quadrature:
     """Gauss-Legendre rule with n >= 1 points, of order 2n.
 
@@ -130,10 +113,11 @@ def gauss(n: int) -> Quadrature:
     >>> gauss(3)
     Quadrature of 3 points from 0.1127 to 0.8873, order 6
     """
+    n = whole_number("the number of points of gauss", n)
     return _from_symmetric_interval(*legendre.leggauss(n))
 
 
-@_family(2)
+@lru_cache(128, typed=True)
 def lobatto(n: int) -> Quadrature:
     """Gauss-Lobatto rule with n >= 2 points, both ends among them, of order 2n - 2.
 
@@ -151,12 +135,13 @@ def lobatto(n: int) -> Quadrature:
     >>> lobatto(4).order
     6
     """
+    n = whole_number("the number of points of lobatto", n, 2)
     inner = _roots(legendre.legder(np.eye(n)[n - 1]))  # of P'_{n-1}
     x = np.concatenate(([-1.0], (inner - inner[::-1]) / 2, [1.0]))
     return _from_symmetric_interval(x, 1 / _legendre(n - 1, x) ** 2)
 
 
-@_family(1)
+@lru_cache(128, typed=True)
 def radau(n: int) -> Quadrature:
     """Gauss-Radau rule with n >= 1 points, the right end among them, of order 2n - 1.
 
@@ -170,6 +155,7 @@ def radau(n: int) -> Quadrature:
     >>> radau(2)
     Quadrature of 2 points from 0.3333 to 1, order 3
     """
+    n = whole_number("the number of points of radau", n)
     x = np.append(_roots(np.append(np.zeros(n - 1), (1.0, -1.0)))[:-1], 1.0)  # of P_{n-1} - P_n
     return _from_symmetric_interval(x, (1 + x) / _legendre(n - 1, x) ** 2)
 

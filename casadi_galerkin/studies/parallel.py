@@ -7,8 +7,8 @@ answers do not, either.
 
 To an executor goes the pickled problem with every chunk; each worker builds its graph once.  Nothing here knows whose
 executor it is: a process pool's, Dask's ``client.get_executor()``, mpi4py's ``MPIPoolExecutor``.  What ends a worker
-ends the whole of a process pool: what was lost is solved again by another process, in halves where that fails, too,
-until the variation that ends its worker stands alone.
+ends the whole of a process pool: what was lost is solved again, one by one, by a process that is started again when a
+variation ends it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ import numpy as np
 from casadi_galerkin._solve import solve, transcribe
 from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
 from casadi_galerkin.boundary.neighboring_problems import data_vector, nearest
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import or_one
+from casadi_galerkin.control.control_transcription import ControlTranscription
 from casadi_galerkin.functional.buffers import fork_waits, interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -64,42 +65,36 @@ def solver_of(
     of: Quantity | None,
 ) -> Solve:
     """A function that solves a variation: on a graph built once, or, to a tolerance, on meshes refined for it."""
-    if tol is not None:
-        if isinstance(problem, BoundaryProblem):
-            return _from_neighbors(transcribe(problem, method, intervals, tol=tol, of=of))
-        transcribe(problem, method, intervals, tol=tol)  # refuses here what would fail in every variation
-        return lambda variation, _: solve(
-            varied(problem, variation), method, intervals, tol=tol, of=of, guess=variation.get("guess")
-        )
-    if method is None or intervals is None:
-        raise ValueError(f"give a method and intervals, or tol, got method={method!r} and intervals={intervals!r}")
-    transcription = transcribe(problem, method, intervals)
-
-    def joints(start: float, end: float) -> np.ndarray:
-        if isinstance(problem, BoundaryProblem):
-            return mesh_of((start, end), intervals, None, problem.breakpoints)
-        return map_times(transcription.mesh, section_times(problem), [start, *problem.breakpoints, end])
-
-    def solved(variation: Variation, _: Sequence[Known]) -> Trajectory:
-        given = dict(variation)
-        span = given.pop("t_span", None)
-        return transcription.solve(**given, mesh=None if span is None else joints(*span))
-
-    return solved
+    if tol is None:
+        if method is None or intervals is None:
+            raise ValueError(f"give a method and intervals, or tol, got method={method!r} and intervals={intervals!r}")
+        return partial(_on_one_graph, transcribe(problem, method, intervals))
+    if isinstance(problem, BoundaryProblem):
+        return partial(_from_neighbors, transcribe(problem, method, intervals, tol=tol, of=of))
+    transcribe(problem, method, intervals, tol=tol)  # refuses here what would fail in every variation
+    return lambda variation, _: solve(
+        varied(problem, variation), method, intervals, tol=tol, of=of, guess=variation.get("guess")
+    )
 
 
-def _from_neighbors(transcription: AdaptiveTranscription) -> Solve:
+def _on_one_graph(graph: Transcription | ControlTranscription, variation: Variation, _: Sequence[Known]) -> Trajectory:
+    """Solve on a mesh that is stretched to the times of the variation, with breakpoints where they are."""
+    span, given = variation.get("t_span"), {name: value for name, value in variation.items() if name != "t_span"}
+    if span is None:
+        return graph.solve(**given)
+    times = [span[0], *graph.problem.breakpoints, span[1]]
+    return graph.solve(**given, mesh=map_times(graph.mesh, section_times(graph.problem), times))
+
+
+def _from_neighbors(transcription: AdaptiveTranscription, variation: Variation, known: Sequence[Known]) -> Trajectory:
     """Solve to a tolerance from the nearest known path, and where that leads to none, from the straight line.
 
     A variation with a guess of its own is solved from that, on the mesh of its neighbor; one with a guess of the free
     duration, which chooses among the paths of an energy, has no neighbor.
     """
-    problem = transcription.problem
-
-    def solved(variation: Variation, known: Sequence[Known]) -> Trajectory:
-        own, guess = varied(problem, variation), variation.get("guess")
-        if not known or (problem.energy is not None and "t_span" in variation):
-            return transcription.found(own, guess, None)
+    problem, guess = transcription.problem, variation.get("guess")
+    own = varied(problem, variation)
+    if known and not (problem.energy is not None and "t_span" in variation):
         values = np.array([data_vector(own), *(place for place, _ in known)])
         _, near = known[nearest(values[0], values[1:], np.ptp(values, axis=0))]
         try:
@@ -107,9 +102,7 @@ def _from_neighbors(transcription: AdaptiveTranscription) -> Solve:
         except ConvergenceError:
             if guess is not None:
                 raise
-            return transcription.found(own, None, None)
-
-    return solved
+    return transcription.found(own, guess, None)
 
 
 def _known(answers: Iterable[Answer]) -> list[Known]:
@@ -166,24 +159,8 @@ def _chunk(pickled: bytes, chunk: Chunk) -> list[Answer]:
 
 
 def by_executor(executor: Executor, pickled: bytes, chunks: list[Chunk]) -> Iterator[list[Answer]]:
-    """Solve all chunks by an executor, and what its workers lose by a process that is started again when it fails."""
-    run, context = partial(_chunk, pickled), getattr(executor, "_mp_context", None)
-    process: ProcessPoolExecutor | None = None
-
-    def alone(variations: Sequence[Variation], known: Sequence[Known]) -> list[Answer]:
-        nonlocal process
-        process = process or started.enter_context(ProcessPoolExecutor(1, context))
-        try:
-            return process.submit(run, (variations, known)).result()
-        except Exception as error:
-            process = None
-            if len(variations) == 1:
-                return [CutShort(f"the worker that solved this variation failed, {type(error).__name__}: {error}")]
-        half = len(variations) // 2
-        first = alone(variations[:half], known)
-        return [*first, *alone(variations[half:], [*known, *_known(first)])]
-
-    results, count = iter(list[list[Answer]]()), 0
+    """Solve all chunks by an executor, and one by one, in a process of their own, what its workers lose."""
+    run, results, count = partial(_chunk, pickled), iter(list[list[Answer]]()), 0
     with suppress(BrokenExecutor):  # a chunk may end its worker before the last one is sent
         results = executor.map(run, chunks)
     with suppress(Exception):  # of a worker that failed
@@ -191,7 +168,19 @@ def by_executor(executor: Executor, pickled: bytes, chunks: list[Chunk]) -> Iter
             yield answers
             count += 1
     with ExitStack() as started:
-        yield from (alone(*chunk) for chunk in chunks[count:])
+        context = getattr(executor, "_mp_context", None)
+        process: ProcessPoolExecutor | None = None
+        for variations, known in chunks[count:]:
+            answers = []
+            for variation in variations:
+                process = process or started.enter_context(ProcessPoolExecutor(1, context))
+                try:
+                    answers += process.submit(run, ([variation], [*known, *_known(answers)])).result()
+                except Exception as error:
+                    process = None
+                    why = f"the worker that solved this variation failed, {type(error).__name__}: {error}"
+                    answers.append(CutShort(why))
+            yield answers
 
 
 def answered(

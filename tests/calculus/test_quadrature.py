@@ -142,7 +142,7 @@ def test_too_few_points_are_refused(name, n):
         FAMILIES[name][0](n)
 
 
-@pytest.mark.parametrize("n", [2.0, "2", None, True, np.float64(3), [2], np.True_])
+@pytest.mark.parametrize("n", [2.0, "2", None, True, np.float64(3), np.True_])
 @pytest.mark.parametrize("name", list(FAMILIES))
 def test_a_number_of_points_that_is_not_whole_is_refused(name, n):
     with pytest.raises(TypeError, match=f"the number of points of {name} must be a whole number, got"):

@@ -454,17 +454,17 @@ def test_a_worker_that_dies_costs_the_answer_of_its_variation_only(serial):
 
 @pytest.mark.slow
 def test_what_a_dead_worker_leaves_stays_on_the_branch_of_its_neighbors():
-    """From the straight line, 18 of these swings of a pendulum end on other branches."""
+    """From the straight line, some of these swings of a pendulum end on other branches."""
     problem = cg.BoundaryProblem(
         lambda t, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 6), [0.5], [1.0], parameters=[0.1]
     )
-    variations = [{"parameters": [rate]} for rate in np.linspace(0.1, 3.0, 60).tolist()]
-    here, center = cg.sweep(problem, variations, tol=1e-7), 28
+    variations = [{"parameters": [rate]} for rate in np.linspace(0.1, 3.0, 30).tolist()]
+    here, center = cg.sweep(problem, variations, tol=1e-7), 12
     variations[center] = variations[center] | {"guess": deadly}
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         sweep = cg.sweep(problem, variations, tol=1e-7, executor=pool)
     assert list(sweep.failures) == [center]
-    others = [i for i in range(60) if i != center]
+    others = [i for i in range(30) if i != center]
     np.testing.assert_allclose(sweep.action[others], here.action[others], rtol=1e-6)
 
 
@@ -475,7 +475,7 @@ def test_a_pool_whose_workers_cannot_start_is_replaced():
 
 
 @pytest.mark.usefixtures("two_chunks")
-def test_a_chunk_that_is_lost_is_solved_again_in_halves(monkeypatch, serial):
+def test_a_chunk_that_is_lost_is_solved_again_one_by_one(monkeypatch, serial):
     """By a process that is started again when it fails."""
     too_large, started = MemoryError("too large"), []
 
@@ -490,7 +490,8 @@ def test_a_chunk_that_is_lost_is_solved_again_in_halves(monkeypatch, serial):
     assert str(sweep[1]) == "the worker that solved this variation failed, MemoryError: too large"
     identical([sweep[0], *sweep[2:]], [serial[0], *serial[2:]])
     lost, whole = executor.given
-    assert [one.given for one in started] == [[lost], [lost[:2]], [lost[:1], lost[1:2]], [lost[2:], whole]]
+    singly = [[rate] for rate in [*lost, *whole]]
+    assert [one.given for one in started] == [singly[:2], singly[2:]]
 
 
 def test_a_pool_that_breaks_while_it_is_given_chunks_loses_none(monkeypatch, serial):
@@ -676,7 +677,8 @@ def test_breakpoints_are_joints_whatever_the_time_span():
     sweep = cg.sweep(problem, [{}, {"t_span": (0.5, 3.0)}], cg.Galerkin(3), 4)
     for path, span in zip(sweep, ((0.0, 2.0), (0.5, 3.0)), strict=True):
         alone = cg.BoundaryProblem(driven, span, [0.0], [1.0], breakpoints=[1.1])
-        np.testing.assert_array_equal(path.x, cg.solve(alone, cg.Galerkin(3), 4).x)
+        np.testing.assert_allclose(path.x, cg.solve(alone, cg.Galerkin(3), mesh=path.t).x, rtol=1e-14)
+        assert (path.t[0], path.t[-1]) == span
         assert 1.1 in path.t
     with pytest.raises(ValueError, match=r"variation 1: breakpoints must increase inside of \(1.2, 3.0\)"):
         cg.sweep(problem, [{}, {"t_span": (1.2, 3.0)}], cg.Galerkin(3), 4)
