@@ -19,7 +19,7 @@ from casadi_galerkin.calculus.numbers import Values, components, counted, flag
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.problems.callables import Traceable, depends_on_time, with_multipliers
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
-from casadi_galerkin.problems.legendre_transform import legendre_transform, singular_mass
+from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, with_values
 from casadi_galerkin.problems.statements import (
     function,
@@ -36,8 +36,6 @@ from casadi_galerkin.problems.statements import (
 )
 
 Given = tuple[float | None, ...]
-RANDOM_PLACES = 3  # places, beside one for every integral, at which the variations of integrals are compared
-SAME_ENERGY = 1e-9  # relative difference of two energies below which rounding may be the cause
 
 
 def _ends(problem: BoundaryProblem) -> Iterator[str]:
@@ -109,25 +107,6 @@ def _energy(problem: BoundaryProblem) -> Iterator[str]:
         yield f"a given energy frees the duration, so that breakpoints have no place, got {problem.breakpoints}"
 
 
-def _rest(problem: BoundaryProblem) -> Iterator[str]:
-    """A given energy is below that of rest at an end, which is the least one where kinetic energies are positive.
-
-    It is checked where ∂²L/∂v² does not depend on v: otherwise the energy need not be least at rest.
-    """
-    energy, transform = problem.energy, legendre_transform(problem.lagrangian)
-    if energy is None or problem.integral_conditions is not None or transform.sparsity_jac(2, 1).nnz():
-        return
-    for name in ENDS:
-        place = getattr(problem, name)
-        if None in place:
-            continue
-        at = (problem.t_span[0], place, [0.0] * problem.dimension, *filter(None, [problem.parameters]))
-        rest, mass = -float(problem.lagrangian(*at)), transform(*at)[1].full()
-        lower = rest - energy > SAME_ENERGY * max(abs(rest), abs(energy))
-        if lower and np.isfinite(mass).all() and np.all(np.linalg.eigvalsh(mass) > 0):
-            yield f"no path of the energy {energy:g} goes through the {name} {list(place)}, where rest has {rest:g}"
-
-
 def _integrals(problem: BoundaryProblem) -> Iterator[str]:
     """Some integrals are the same for all paths between the ends, or follow from others.
 
@@ -149,7 +128,7 @@ def _integrals(problem: BoundaryProblem) -> Iterator[str]:
     start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))
     sizes = component_sizes(np.array([start, end]).T)
     found, largest = [], np.full(count, TINY)
-    for _ in range(count + RANDOM_PLACES):
+    for _ in range(2 * count):
         when, (x, v, a) = random.uniform(), random.normal(size=(3, d)) * sizes
         x += start + when * (end - start)
         row, size = (
@@ -186,7 +165,7 @@ STATEMENTS = {
     "energy": optional(number),
 }
 RULES = _ends, _twice_given, _functions_of_ends, impossible_constraint, _energy, _integrals
-RULES_OF_VALUES = constraint_at_ends, _rest
+RULES_OF_VALUES = (constraint_at_ends,)
 
 
 @dataclass(frozen=True, repr=False)

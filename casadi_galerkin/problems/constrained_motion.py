@@ -24,11 +24,9 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
-TANGENT_ITERATIONS = 20
 # Violation of a constraint between the nodes, over the change of g along the path, from which a path is refused.  One
 # chord of an arc has 0.09; jumps through the center of a circle were measured at 0.16 to 0.25.
 LARGEST_VIOLATION = 0.1
-LEAST_MOTION = 1e-10  # least motion of a component that a violation is compared with, relative to its size
 
 
 @lru_cache(8)
@@ -105,14 +103,14 @@ def tangent_momenta(
     motion = motion_of(problem)
     if motion is None:
         return momentum
-    v, d = velocity, len(x)
-    for _ in range(TANGENT_ITERATIONS):
+    v, d, longest = velocity, len(x), np.inf
+    while True:
         _, p, rate, _ = _at(motion, t, x, v)
         step = _solved(motion, t, x, v, np.concatenate((momentum - p, -rate)))[:d]  # which finds μ anew
-        v = v + step
-        if not np.any(np.abs(step) > 4 * EPS * np.max(np.abs(v))):
-            break
-    return _at(motion, t, x, v)[1]
+        size = float(np.max(np.abs(step)))
+        if not 0 < size < longest:  # steps fall until they are rounding
+            return p
+        v, longest = v + step, size
 
 
 def tangent_at_joints(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> np.ndarray:
@@ -141,7 +139,7 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
         return None
     parts = sampling_parts(path.degree)
     x, times = path.values_at_parts(parts).reshape(len(path.values), -1), times_at(path.mesh, parts)
-    moves = np.ptp(x, axis=1, keepdims=True) + LEAST_MOTION * component_sizes(x)[:, None]
+    moves = np.ptp(x, axis=1, keepdims=True) + np.sqrt(EPS) * component_sizes(x)[:, None]
     measured = _missed(problem.numeric.constraint).map(len(times))
     missed, largest = (np.array(a) for a in measured(times[None, :], x, np.broadcast_to(moves, x.shape)))
     part = np.max(missed / np.maximum(np.max(largest, axis=1, keepdims=True), TINY), axis=0)

@@ -12,7 +12,7 @@ from casadi_galerkin.calculus.numbers import Values
 from casadi_galerkin.problems.callables import Traceable
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
-from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate
+from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.problems.statements import (
     function,
@@ -22,7 +22,6 @@ from casadi_galerkin.problems.statements import (
     span,
     whole_vector,
 )
-from casadi_galerkin.problems.velocities import velocities
 
 STATEMENTS = {
     "start": whole_vector,

@@ -1,18 +1,19 @@
-"""The Legendre transform p = ∂L/∂v, and whether its mass matrix ∂²L/∂v² determines velocities."""
+"""The Legendre transform p = ∂L/∂v, its inverse, and whether the mass matrix ∂²L/∂v² determines velocities."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import component_sizes, or_one
+from casadi_galerkin.calculus.roundoff import EPS, component_sizes, or_one
 
 SAMPLED_FRACTIONS = 0.1, 0.4, 0.7  # fractions of a bent line between the ends, at which the mass matrix is evaluated
 DEGENERATE_MASS = 1e-13  # singular value of ∂²L/∂v², over the largest, below which a direction of v has no momentum
+VELOCITY_ITERATIONS = 100
 
 
 @lru_cache(8)
@@ -98,3 +99,76 @@ def singular_mass(problem: Any) -> Iterator[str]:
         if not (np.isfinite(mass).all() and degenerate(mass)):
             return
     yield _singular(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {v}")
+
+
+def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Velocities v (d, K) -> momenta (d, K), mass matrices (K, d, d)."""
+    mapped = transform.map(len(t))
+
+    def at(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        momenta, masses = (np.array(a) for a in mapped(t[None, :], x, v))
+        return momenta, masses.reshape(len(v), len(t), len(v)).transpose(1, 0, 2)
+
+    return at
+
+
+def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
+    """Whether ∂²L/∂v² has no negative eigenvalue at any of many points; arguments as for `velocities`."""
+    eigenvalues = np.linalg.eigvalsh(scaled_masses(_at(transform, t, x)(v)[1])[0])
+    return bool(np.all(eigenvalues[:, 0] >= -DEGENERATE_MASS * np.abs(eigenvalues).max(axis=1)))
+
+
+def velocities(
+    transform: ca.Function, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, guess: np.ndarray
+) -> np.ndarray:
+    """Velocities v with ∂L/∂v(t, x, v) = p at many points; NaN where none was found.
+
+    Newton's method from a guess, or from rest where L is not defined at it; each step is halved until the next one is
+    shorter, and the last is one that rounding lets become no shorter.
+
+    Parameters
+    ----------
+    transform : `legendre_transform` of L
+    t : (K,)
+    x, momentum, guess : (d, K)
+    """
+    at = _at(transform, t, x)
+    v, (found, masses) = guess, at(guess)
+    undefined = ~(np.isfinite(found).all(axis=0) & np.isfinite(masses).all(axis=(1, 2)))
+    if undefined.any():
+        v = np.where(undefined, 0.0, guess)
+        found, masses = at(v)
+    settled = np.zeros(x.shape[1], dtype=bool)
+    for _ in range(VELOCITY_ITERATIONS):
+        inverse = _inverse(masses)
+        step = np.einsum("kij,jk->ik", inverse, momentum - found)
+        length = np.max(np.abs(step), axis=0)
+        settled |= ~(length > 4 * EPS * np.max(np.abs(v), axis=0))
+        if settled.all():
+            break
+        damping = np.where(settled, 0.0, 1.0)
+        while True:
+            trial = v + damping * step
+            found, masses = at(trial)
+            after = np.max(np.abs(np.einsum("kij,jk->ik", inverse, momentum - found)), axis=0)
+            refused = ~(after <= (1 - damping / 4) * length) & (damping > EPS)
+            if not refused.any():
+                break
+            damping[refused] /= 2
+        v, settled = trial, settled | (damping <= EPS)
+    moved = np.sqrt(EPS) * np.abs(v) + 4 * EPS * np.max(np.abs(guess), axis=0)  # also what rounding leaves of a guess
+    sizes = np.einsum("kij,jk->ik", np.abs(_defined(masses)), moved)
+    sizes += np.sqrt(EPS) * (np.abs(momentum) + np.abs(found))
+    sizes += EPS * np.max(np.abs(momentum), axis=1, keepdims=True)  # where a mass vanishes, p is only rounding
+    return np.where((np.isfinite(found) & (np.abs(momentum - found) <= sizes)).all(axis=0), v, np.nan)
+
+
+def _inverse(masses: np.ndarray) -> np.ndarray:
+    """Pseudo-inverses of mass matrices (K, d, d)."""
+    scaled, scales = scaled_masses(_defined(masses))
+    return np.linalg.pinv(scaled, rcond=DEGENERATE_MASS, hermitian=True) / scales
+
+
+def _defined(masses: np.ndarray) -> np.ndarray:
+    """Mass matrices (K, d, d), zero where one is not finite."""
+    return np.where(np.isfinite(masses).all(axis=(1, 2))[:, None, None], masses, 0.0)

@@ -20,9 +20,8 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_within
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
-from casadi_galerkin.problems.legendre_transform import legendre_transform
+from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 from casadi_galerkin.problems.problem import Problem
-from casadi_galerkin.problems.velocities import velocities
 from casadi_galerkin.solution.error_indicators import error_indicators
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, by_component

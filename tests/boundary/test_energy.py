@@ -368,16 +368,3 @@ def test_a_periodic_path_of_given_period_that_may_begin_anywhere_is_told_how_to_
     problem = cg.BoundaryProblem(pendulum, (0, 7.0), [None], periodic=True)
     with pytest.raises(cg.ConjugatePointError, match=r"begin anywhere .* give its energy instead of its period"):
         cg.solve(problem, tol=1e-8, guess=lambda t: [1.2 * np.cos(2 * np.pi * t / 7.0)])
-
-
-def test_an_energy_below_that_of_rest_at_a_given_end_is_refused():
-    def throw(energy, lagrangian=lambda t, x, v: ca.dot(v, v) / 2 - 9.81 * x[1]):
-        return cg.BoundaryProblem(lagrangian, (0, 1), [0.0, 0.0], [1.0, 1.0], energy=energy)
-
-    with pytest.raises(ValueError, match=r"energy 5 goes through the end \[1\.0, 1\.0\], where rest has 9\.81"):
-        throw(5.0)
-    with pytest.raises(ValueError, match=r"energy -1 goes through the start \[0\.0, 0\.0\], where rest has"):
-        throw(-1.0)
-    throw(9.81)  # it arrives at rest
-    throw(5.0, lambda t, x, v: (v[0] ** 2 - v[1] ** 2) / 2 - 9.81 * x[1])  # of either sign
-    throw(5.0, lambda t, x, v: ca.dot(v, v) / 2 - ca.dot(v, v) ** 2 - 9.81 * x[1])  # not least at rest

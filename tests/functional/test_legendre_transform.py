@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.problems.legendre_transform import legendre_transform
-from casadi_galerkin.problems.velocities import convex
-from casadi_galerkin.problems.velocities import velocities as velocities_of_momenta
+from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
+from casadi_galerkin.problems.legendre_transform import velocities as velocities_of_momenta
 
 
 def test_velocities_are_found_where_the_slopes_of_the_path_are_beyond_the_lagrangians_domain():
