@@ -1,8 +1,8 @@
 """Two-point boundary problems, solved for all intervals at once.
 
 A `graph` holds one problem, and a `transcription` solves it as often as wanted.  `refinement` chooses degree and mesh
-for a tolerance: `first_path` finds a first path, if necessary by `action_descent` or the search for
-`several_paths`; `error_estimate` estimates the error of each path.
+for a tolerance: `first_path` finds a first path, if necessary in a growing time, under a growing force or by the search
+for `several_paths`; `error_estimate` estimates the error of each path.
 `adaptive_transcription` refines repeatedly, for different data of one problem.  `continuation` follows a path while
 parameters change, and returns a `branch`; `all_paths` finds other paths between the same ends, by the search of
 `several_paths`; `sensitivity` differentiates.  `neighboring_problems` compares problems that differ in given values,

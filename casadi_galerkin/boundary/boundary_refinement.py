@@ -241,51 +241,38 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Find a first path by one of several strategies, and refine it; an array as guess is one on this mesh.
 
-        Where the straight line leads through a pole, as of a collision, the search for other paths follows at once.
         A path that is far from a guess is reported as such.
         """
         guess = self.on_any_mesh(guess, mesh)
         given = guess_on_resolving_mesh(self.graphs, self.method, guess, mesh, COARSE_RESOLUTION)
         strategies = first_path_strategies(self.graphs, self.method, guess, given, self.solver, self.intermediate_path)
-        try:
-            path = self.by_the_first(strategies)
-        except LimitReached as limit:
-            if guess is not None or self.out_of_time() or not self.at_pole(self.best[0]):
-                raise
-            try:  # with what is left of the strategies
-                path = self.by_the_first((name, find) for name, find in strategies if name == RANDOM)
-            except ConvergenceError:
-                raise limit from None
+        path = self.by_the_first(strategies, None if guess is None else given)
         distance = 0.0 if guess is None else distance_from_guess(given, path.polynomial)
         if distance <= FAR_FROM_GUESS:
             return path
         return path.amended(solver=f"{path.solver}; up to {distance:.2g} of the guess's size away from the guess")
 
-    def at_pole(self, level: CriticalPoint) -> bool:
-        """Whether a path leads through a pole of L, which other paths avoid."""
-        indicators = scaled_indicators(level.motion, level.polynomial, level.momentum)
-        return bool(np.any(indicators["Lagrangian between points"]))
+    def by_the_first(self, strategies: Iterable[Strategy], guess: PiecewisePolynomial | None) -> Trajectory:
+        """Refine the path of the first strategy that leads to one.
 
-    def by_the_first(self, strategies: Iterable[Strategy]) -> Trajectory:
-        """Refine the path of the first strategy that leads to one."""
-        failures = list[ConvergenceError]()
+        A path that was found, but not to the tolerance, ends the search: another mesh may only hide what is wrong with
+        it.  But a singular one that nobody guessed is passed over.
+        """
+        failures, singular = list[ConvergenceError](), list[ConvergenceError]()
         for name, find in strategies:
+            if failures and (self.out_of_time() or (singular and name == RANDOM)):
+                break
             began, before, first = time.perf_counter(), self.iterations, None
             try:
                 with until(self.deadline):
                     first = find()
                     path = self.finish(*self.refine(first))
-            except LimitReached:
-                raise
             except ConvergenceError as failure:
-                if first is not None and failure.residual <= ACCEPTED:
-                    raise  # a path was found: another mesh may only hide what is wrong with it
-                if isinstance(failure, ConjugatePointError) and failures and first is not None:
-                    words = f"no path was found: that of a coarse mesh is lost on a finer one, where {failure}"
-                    failure = ConvergenceError(words, failure.path, failure.residual, failure.iterations)
+                if isinstance(failure, LimitReached) or (first is not None and failure.residual <= ACCEPTED):
+                    if not self.another_is_meant(failure, guess):
+                        raise
+                    singular.append(failure)
                 failures.append(failure)
-                if self.out_of_time():
-                    raise self.late(failure) from None
                 if self.verbose:
                     spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
                     print(f"{name}: no path, {spent}")
@@ -294,8 +281,15 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
                 if report == path.solver and not (failures and report == NEWTON):
                     return path
                 return path.amended(solver=f"{path.solver}; first path by {name if report == NEWTON else report}")
-        conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
-        raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another strategy found nothing
+        if self.out_of_time():
+            raise self.late(failures[-1])
+        raise (singular or failures)[-1]
+
+    def another_is_meant(self, failure: ConvergenceError, guess: PiecewisePolynomial | None) -> bool:
+        """Whether a path that was found is singular, and not the one that was guessed."""
+        if not isinstance(failure, ConjugatePointError) or failure.path is None:
+            return False
+        return guess is None or distance_from_guess(guess, failure.path.polynomial) > FAR_FROM_GUESS
 
     def intermediate_path(self, graphs: GraphCache, guess: PiecewisePolynomial) -> CriticalPoint:
         """Find a path of a homotopy to a loose tolerance, on a mesh that resolves it."""

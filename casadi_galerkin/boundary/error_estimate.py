@@ -44,7 +44,7 @@ def discretization_error(
     nodes, numbering = graph.method.element.nodes, graph.numbering
     unknowns, data = graph.on_path(path)
     unknowns[numbering.everywhere][: numbering.integrals] = multipliers
-    values = np.eye(numbering.free)[numbering.everywhere][: numbering.integrals]
+    values = np.eye(numbering.integrals, numbering.free, numbering.everywhere.start)
 
     def moved(step: np.ndarray) -> float:
         """Largest relative change of the path by a step."""

@@ -44,7 +44,6 @@ from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, Numbering, kept
 from casadi_galerkin.functional.pointwise import pointwise
-from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 
 Parts: TypeAlias = tuple[dict[str, ca.MX], dict[str, ca.MX]]  # inputs beside the symbols, and outputs, by name
 
@@ -266,8 +265,6 @@ class Functional:
         - derivatives : -> matrix ∇²S, gradient ∇S, mass: ∂²L̂/∂x'² at all points, the last of `Pointwise.blocks`
         - summary : -> action S, with the end action; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every
           interval; gradient ∇S; terms, the sums of the sizes of the gradient's terms
-        - joint_step : -> Newton step of the joints at fixed node values, (N + 1,), to where the energy does not jump
-        - inertia_weighted : with inertia -> matrix ∇²S with ∂²L/∂v² multiplied by it
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - by_data : with a direction of every input but the unknowns -> change of ∇S along them
         - product : with direction of the unknowns -> change of ∇S along it, ∇²S times the direction, summed over the
@@ -279,24 +276,11 @@ class Functional:
             "hessian": lambda: ({}, {"hessian": self.derivatives[0]}),
             "derivatives": lambda: ({}, dict(zip(("matrix", "gradient", "mass"), self.derivatives, strict=True))),
             "summary": lambda: ({}, self.first_variation),
-            "joint_step": self._joint_step,
-            "inertia_weighted": self._inertia_weighted,
             "curvature": self._curvature,
             "by_data": lambda: self._change_by(*list(self.symbols)[1:]),
             "product": lambda: self._change_by("unknowns"),
         }
         return self.keep(name, builders[name])
-
-    def _joint_step(self) -> Parts:
-        curvature, slope = ca.hessian(self.action, self.symbols["mesh"])  # a tridiagonal matrix
-        inner = slice(1, self.numbering.intervals)
-        step = -ca.solve(curvature[inner, inner], ca.densify(slope[inner]), "qr", NO_CUTOFF)
-        return {}, {"joint_step": ca.vertcat(0, step, 0)}
-
-    def _inertia_weighted(self) -> Parts:
-        inertia, blocks = ca.MX.sym("inertia"), zip(self.pointwise.blocks, self._second[3:], strict=True)
-        weighted = [inertia * values if block == (1, 1) else values for block, values in blocks]
-        return {"inertia": inertia}, {"matrix": self._assembled(weighted)[0]}
 
     def _curvature(self) -> Parts:
         directions = {name: ca.MX.sym(name, self.numbering.free) for name in ("left", "right")}

@@ -302,6 +302,8 @@ class LoadedCurve(Curve[Point]):
     def unloaded_points(self, side: float) -> Iterator[np.ndarray]:
         """Approximate paths without load, in the order in which they are met; `side` is the first sign of ṡ."""
         z = self.start
+        if not 0 < self.length(self.follow) < np.inf:
+            return  # there is no load, or the path under it is not isolated
         for point in self.walk(Point(z, self.unit(side * self.follow)), FIRST_LOAD_STEP, LOAD_STEPS):
             before, z = z, point.z
             if before[-1] * z[-1] < 0:

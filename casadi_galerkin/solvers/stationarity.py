@@ -127,10 +127,10 @@ class Linearization:
 
     ∇S (`gradient`) is that of the last point at which a method evaluated it: `newton_step`, `relinearize`,
     `simplified_step`, `terms`, `rounding_effects` and `verification` do.  ∇²S (`matrix`) is that of the last
-    `newton_step` or `relinearize`, the weighted one of the last `weight_inertia`, or the one restored by `return_to`;
-    the other methods keep it.  The direction of smallest curvature is that of the last `newton_step` or `return_to`.
-    `solve`, `refined` and `rounding_effects` solve with the present ∇²S, and `simplified_step` with the present ∇²S and
-    a new ∇S.  `evaluate` has arrays of its own.
+    `newton_step` or `relinearize`, or the one restored by `return_to`; the other methods keep it.  The direction of
+    smallest curvature is that of the last `newton_step` or `return_to`.  `solve`, `refined` and `rounding_effects`
+    solve with the present ∇²S, and `simplified_step` with the present ∇²S and a new ∇S.  `evaluate` has arrays of its
+    own.
 
     Attributes
     ----------
@@ -273,11 +273,6 @@ class Linearization:
         if key not in self._evaluators:
             self._evaluators[key] = Evaluator(self.stationarity.functional.function(name))
         return self._evaluators[key](unknowns, *data, *further)
-
-    def weight_inertia(self, unknowns: np.ndarray, data: Data, factor: float) -> None:
-        """Evaluate ∇²S with ∂²L/∂v² multiplied by a factor; a large one makes it positive definite where ∂²L/∂v² is."""
-        self._arrays.setdefault("inertia", np.zeros(1))[:] = factor
-        self._evaluate("inertia_weighted", unknowns, data)
 
     def solve(self, *rhs: np.ndarray, transposed: bool = False) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, with the present `matrix`; not finite where that is singular."""
