@@ -33,6 +33,7 @@ from casadi_galerkin.control.sensitivity import ControlSensitivity as ControlSen
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem as BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem as ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem as InitialProblem
+from casadi_galerkin.problems.phases import Phases as Phases
 from casadi_galerkin.solution.control_path import ControlPath as ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory as ControlTrajectory
 from casadi_galerkin.solution.errors import ConjugatePointError as ConjugatePointError
@@ -40,6 +41,7 @@ from casadi_galerkin.solution.errors import ConvergenceError as ConvergenceError
 from casadi_galerkin.solution.errors import LimitReached as LimitReached
 from casadi_galerkin.solution.limits import Limits as Limits
 from casadi_galerkin.solution.path import load as load
+from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory as PhasesTrajectory
 from casadi_galerkin.solution.plotting import panels as panels
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
 from casadi_galerkin.solvers.solver import Solver as Solver

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import overload
+from typing import Any, overload
 
 import casadi as ca
 from numpy.typing import ArrayLike
@@ -26,10 +26,12 @@ from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import check_kind, check_types
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solution.quantity import Quantity, check_asked
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
@@ -56,6 +58,19 @@ def solve(
 
 @overload
 def solve(
+    problem: Phases,
+    method: Galerkin,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    guess: Any = None,
+    solver: Solver | None = None,
+    verbose: int = 0,
+) -> PhasesTrajectory: ...
+
+
+@overload
+def solve(
     problem: BoundaryProblem | InitialProblem,
     method: Galerkin | None = None,
     intervals: int | None = None,
@@ -72,7 +87,7 @@ def solve(
 
 @interrupts_raised()
 def solve(
-    problem: BoundaryProblem | InitialProblem | ControlProblem,
+    problem: BoundaryProblem | InitialProblem | ControlProblem | Phases,
     method: Galerkin | None = None,
     intervals: int | None = None,
     *,
@@ -85,7 +100,7 @@ def solve(
     limits: Limits | None = None,
     starts: int = 1,
     verbose: int = 0,
-) -> Trajectory:
+) -> Trajectory | PhasesTrajectory:
     """Solve a problem: with a fixed discretization, or to a tolerance.
 
     With `method` and `intervals` or `mesh`, this is `transcribe` followed by `Transcription.solve`.  With `tol`, the
@@ -107,7 +122,7 @@ def solve(
 
     Parameters
     ----------
-    problem : BoundaryProblem, InitialProblem or ControlProblem
+    problem : BoundaryProblem, InitialProblem, ControlProblem or Phases; these are solved with a method and intervals
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
@@ -119,8 +134,8 @@ def solve(
     guess : of a boundary or control problem, where the search begins; default the straight line between the ends.  A
         callable t -> d numbers; a pair (times, values) of arrays (K,) and (d, K); an array (d, N + 1) of values at
         the joints; an earlier answer, or what `load` has read of it.  For a ControlProblem also a pair (path, controls)
-        of one of these, or None, and a callable t -> n numbers.  `Transcription.solve` and
-        `ControlTranscription.solve` have all forms
+        of one of these, or None, and a callable t -> n numbers.  For Phases one of all this for all of them, or a list
+        with one for each.  `Transcription.solve` and `ControlTranscription.solve` have all forms
     solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt (the default) or
         fatrop for a ControlProblem; each also ``.with_options(...)``
     limits : Limits that stop a refinement, by default after 120 s; only with a tolerance
@@ -132,7 +147,7 @@ def solve(
 
     Returns
     -------
-    Trajectory, of a ControlProblem a ControlTrajectory
+    Trajectory, of a ControlProblem a ControlTrajectory, of Phases a PhasesTrajectory
 
     Raises
     ------
@@ -156,7 +171,7 @@ def solve(
     >>> path.asked.round(9).tolist(), path.asked_error <= 1e-10
     ([1.188395106], True)
     """
-    check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
+    check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem, Phases)
     check_method(method, optional=True)
     check_verbose(verbose)
     if not isinstance(problem, ControlProblem) and whole(starts) != 1:
@@ -174,7 +189,7 @@ def solve(
             return to_tolerance(steps, problem, tolerance, method, intervals, mesh, limits or Limits(), of)
         return steps(_given(method), mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
     if solver is None:
-        solver = ipopt if isinstance(problem, ControlProblem) else newton
+        solver = newton if isinstance(problem, BoundaryProblem) else ipopt
     if tolerance is None:
         graph = _graph(problem, method, intervals, mesh, one_by_one if starts == 1 else by_rows)
         if isinstance(graph, ControlTranscription):
@@ -188,6 +203,7 @@ def solve(
         refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver, verbose, of)
         path = refinement.run(joints, guess, starts)
     else:
+        assert isinstance(problem, BoundaryProblem), "Phases have no tolerance"
         method, joints = first_discretization(problem, tolerance, method, intervals, mesh)
         graphs = GraphCache(problem, verbose=verbose)
         path = BoundaryRefinement(graphs, tolerance, method, solver, limits, of).run(joints, guess)
@@ -197,6 +213,8 @@ def solve(
 
 
 def _tolerance(problem: object, tol: float | None, cost_tol: float | None) -> float | None:
+    if isinstance(problem, Phases) and (tol, cost_tol) != (None, None):
+        raise ValueError(f"Phases are solved with a method and intervals, and no tolerance, got {tol or cost_tol!r}")
     if cost_tol is None:
         return None if tol is None else check_tolerance(tol)
     if not isinstance(problem, ControlProblem):
@@ -207,14 +225,14 @@ def _tolerance(problem: object, tol: float | None, cost_tol: float | None) -> fl
 
 
 def _graph(
-    problem: BoundaryProblem | ControlProblem,
+    problem: BoundaryProblem | ControlProblem | Phases,
     method: Galerkin | None,
     intervals: int | None,
     mesh: ArrayLike | None,
     mapping: PointMap = by_rows,
 ) -> Transcription | ControlTranscription:
     """Build the graph of a fixed discretization; `mapping` is how terms are evaluated at many points."""
-    if isinstance(problem, ControlProblem):
+    if not isinstance(problem, BoundaryProblem):
         return transcribed_control(problem, _given(method), intervals, mesh, mapping)
     return transcribed(problem, _given(method), intervals, mesh, mapping)
 
@@ -254,7 +272,11 @@ def transcribe(
 
 @overload
 def transcribe(
-    problem: ControlProblem, method: Galerkin, intervals: int | None = None, *, mesh: ArrayLike | None = None
+    problem: ControlProblem | Phases,
+    method: Galerkin,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
 ) -> ControlTranscription: ...
 
 
@@ -272,7 +294,7 @@ def transcribe(
 
 
 def transcribe(
-    problem: BoundaryProblem | ControlProblem,
+    problem: BoundaryProblem | ControlProblem | Phases,
     method: Galerkin | None = None,
     intervals: int | None = None,
     *,
@@ -313,15 +335,17 @@ def transcribe(
     >>> [float(transcription.solve(end=[height]).momentum[0, 0].round(6)) for height in (1.0, 2.0)]
     [6.0, 7.0]
     """
-    check_kind(problem, BoundaryProblem, ControlProblem)
+    check_kind(problem, BoundaryProblem, ControlProblem, Phases)
     check_method(method, optional=True)
     _check_limits(limits, tol)
     check_asked(of, tol)
-    if tol is not None:
-        if isinstance(problem, ControlProblem):
-            return AdaptiveControlTranscription(problem, tol, method, intervals, mesh, limits, of)
-        return AdaptiveTranscription(problem, tol, method, intervals, mesh, limits, of)
-    return _graph(problem, method, intervals, mesh)
+    tolerance = _tolerance(problem, tol, None)
+    if tolerance is None:
+        return _graph(problem, method, intervals, mesh)
+    if isinstance(problem, ControlProblem):
+        return AdaptiveControlTranscription(problem, tolerance, method, intervals, mesh, limits, of)
+    assert isinstance(problem, BoundaryProblem), "Phases have no tolerance"
+    return AdaptiveTranscription(problem, tolerance, method, intervals, mesh, limits, of)
 
 
 def solution_function(

@@ -30,6 +30,13 @@ def steps():
     return cg.solve(falling(), METHOD, 100)
 
 
+def phases():
+    """A cart that bounces."""
+    first = double_integrator(end=[1.0], end_velocity=[None])
+    second = double_integrator(t_span=(1.0, 2.0), start=[None], start_velocity=[None], end=[0.5])
+    return cg.Phases([first, second], links=[lambda x, v: (x, -v)])
+
+
 def failure():
     with pytest.raises(cg.ConvergenceError) as caught:
         cg.solve(cg.BoundaryProblem(bratu(10.0), (0, 1), [0.0], [0.0]), METHOD, 10)
@@ -110,6 +117,8 @@ CASES = {
         spatial, (0, 1), on_sphere((1.0, 0.0)), velocity=[0.0, 1.0, 0.0], constraint=unit_length
     ),
     "ControlProblem": everything,
+    "Phases": phases,
+    "PhasesTrajectory": lambda: cg.solve(phases(), cg.Galerkin(3), 2),
     "ControlProblem with bounds": cart_pole,
     "Galerkin": lambda: METHOD,
     "Galerkin of another kind": lambda: cg.Galerkin(40, cg.chebyshev_points(40), cg.lobatto(60)),

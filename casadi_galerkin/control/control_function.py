@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.control_graph import ControlGraph
-from casadi_galerkin.control.control_numbering import Chain
+from casadi_galerkin.control.control_numbering import Numbering
 from casadi_galerkin.control.control_transcription import transcribed_control
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION
 from casadi_galerkin.control.program_bounds import bounds_of, equation_scales, given_at_ends
@@ -34,16 +36,18 @@ def control_function(
     """Turn an optimization into a Function; see `solution_function` for the arguments."""
     transcription = transcribed_control(problem, method, intervals, mesh)
     path = transcription.solve(guess=guess, solver=solver)
-    chain, bounds = transcription.chain, transcription.bounds
+    numbers, bounds, phases = transcription.numbering, transcription.bounds, transcription.phases
     start = transcription.starting_point(problem, transcription.calculus, path)
-    known = chain.pack(start.values)
-    sizes = equation_scales(problem, chain, bounds, transcription.graph.report(*known), start.sizes)
+    known = numbers.pack(start.values)
+    sizes = equation_scales(phases, numbers, bounds, transcription.graph.report(*known), start.sizes)
     first, data = (ca.MX(ca.DM(part)) for part in known)
-    checked_by = bounds_of(problem, chain, implied=True)  # ends that are data may violate a constraint
+    checked_by = bounds_of(
+        phases, transcription.joins, numbers, implied=True
+    )  # ends that are data may violate a constraint
     programmed = bounds.narrowed(BOUND_RELAXATION[solver.name])
     stated, narrow = ([ca.MX(ca.DM(side)) for side in (*b.unknowns, *b.equations)] for b in (checked_by, programmed))
     inputs, allowed = {}, ca.MX(1)
-    for name, entries in _given(problem, chain).items():
+    for name, (entries, *others) in _given(phases, numbers).items():
         inputs[name] = ca.MX.sym(name, len(entries))
         number = ca.fabs(inputs[name]) < np.inf
         allowed = ca.logic_and(allowed, ca.mmin(number))
@@ -53,16 +57,22 @@ def control_function(
             allowed = ca.logic_and(allowed, ca.mmin(ca.logic_and(least <= inputs[name], inputs[name] <= most)))
         value = ca.if_else(number, inputs[name], ca.DM(np.concatenate(known)[entries]))  # the solver refuses NaN
         if name == "parameters":
-            data[(entries - chain.unknowns).tolist()] = value
+            for of_phase in (entries, *others):
+                data[(of_phase - numbers.unknowns).tolist()] = value
         else:
             for side in (*stated[:2], *narrow[:2]):
                 side[entries.tolist()] = value
     given = ca.vertcat(*inputs.values())
-    f, degree = chain.fields, method.degree
-    inputs["guess"] = ca.MX.sym("guess", chain.dimension, chain.intervals * degree + 1)
-    inputs["controls"] = ca.MX.sym("controls", chain.controls, chain.intervals * len(chain.control_times))
-    first[f["x"].ravel().tolist()] = ca.vec(inputs["guess"][:, ::degree])
-    first[f["nodes"].ravel().tolist()] = ca.vec(inputs["guess"][:, 1:])
+    f, degree, intervals = numbers.whole(), method.degree, len(transcription.mesh) - 1
+    chain = numbers.chains[0]
+    inputs["guess"] = ca.MX.sym("guess", chain.dimension, intervals * degree + 1)
+    inputs["controls"] = ca.MX.sym("controls", chain.controls, intervals * len(chain.control_times))
+    joint = 0
+    for part in numbers.chains:
+        nodes = inputs["guess"][:, joint * degree : (joint + part.intervals) * degree + 1]
+        first[part.fields["x"].ravel().tolist()] = ca.vec(nodes[:, ::degree])
+        first[part.fields["nodes"].ravel().tolist()] = ca.vec(nodes[:, 1:])
+        joint += part.intervals
     first[f["controls"].ravel().tolist()] = ca.vec(inputs["controls"])
     program, sides = transcription.program(solver, warm=False, verbose=0), ("lbx", "ubx", "lbg", "ubg")
     found = _undifferentiated(program)(x0=first, p=data, **dict(zip(sides, narrow, strict=True)))
@@ -76,7 +86,7 @@ def control_function(
     outputs = {
         "x": ca.reshape(everything[f["x"].ravel().tolist()], chain.dimension, -1),
         "u": ca.reshape(everything[f["controls"].ravel().tolist()], chain.controls, -1),
-        "duration": ca.sum1(everything[f["durations"][-1].tolist()]),
+        "duration": ca.sum1(everything[f["durations"].tolist()]),
         "cost": found["f"] + cheaper,
     }
     return verified_function(inputs, outputs, verified, ["guess", "controls"])
@@ -89,12 +99,13 @@ def _undifferentiated(program: ca.Function) -> ca.Function:
     return ca.Function("found", inputs, program.call(inputs), *names, without)
 
 
-def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:
-    """Entries of ξ that the problem gives, by name; names without entries are left out."""
-    entries = {name: index for name, (index, _) in given_at_ends(problem, chain).items()}
-    if "parameters" not in chain.free:
-        entries["parameters"] = chain.fields["parameters"][0]
-    return {name: index for name, index in entries.items() if index.size}
+def _given(phases: Sequence[ControlProblem], numbers: Numbering) -> dict[str, list[np.ndarray]]:
+    """Entries of ξ that the problem gives, by name, in each phase that has them; names without entries are left out."""
+    ends = [given_at_ends(*each) for each in zip(phases, numbers.chains, strict=True)]
+    entries = {name: [ends[0 if name.startswith("start") else -1][name][0]] for name in ends[0]}
+    if "parameters" not in numbers.chains[0].free:
+        entries["parameters"] = [chain.fields["parameters"][0] for chain in numbers.chains]
+    return {name: index for name, index in entries.items() if index[0].size}
 
 
 def _violation(graph: ControlGraph, sizes: np.ndarray) -> ca.Function:

@@ -1,6 +1,6 @@
 """Cost, equations and their exact derivatives as CasADi graphs, assembled from pointwise derivatives.
 
-With A, Ê, Θ and Λ of the `ChainEmbedding`, and at every place z_k the cost c_k and the rows e_k of `control_terms`,
+With A, Ê, Θ and Λ of the `Embedding`, and at every place z_k the cost c_k and the rows e_k of `control_terms`,
 
     cost        f  = Σ w_k c_k                    ∇f = Êᵀ [w_k ∇c_k]
     equations   G  = Θ [e_k] + Λ y                ∇G = Θ blockdiag(∇e_k) Ê + Λ
@@ -15,18 +15,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
+from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import largest_of
-from casadi_galerkin.control.control_embedding import ChainEmbedding, PlaceLayout
-from casadi_galerkin.control.control_numbering import Chain
-from casadi_galerkin.control.control_terms import pointwise_terms
+from casadi_galerkin.control.control_embedding import Embedding, PlaceLayout
+from casadi_galerkin.control.control_numbering import Chain, Field, Numbering
+from casadi_galerkin.control.control_terms import Places, all_places
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
-from casadi_galerkin.functional.mapping import PointMap
+from casadi_galerkin.functional.mapping import PointMap, one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.phases import Joins, Phases, joined_sections, sections
 
 ROUNDOFF_ONLY = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
 # part of the cost of a change as large as the path itself above which the cost measures its own errors: the cost of a
@@ -40,62 +43,76 @@ class Report:
 
     Attributes
     ----------
-    cost, action : f, and the discrete action of the Lagrangian alone
+    cost : f
+    costs, actions : (phases,), parts of f, and the discrete actions of the Lagrangians alone
     cost_size : size of f or, where that is larger, `LEAST_COST` times that of the terms of its second variation for the
         changes of all values along the path
     equations, sizes : G, and for every kind of equation the largest sum of the sizes of the terms of one
     slope : ∇f̄ without the multipliers of the bounds
-    hamiltonian : (N,), mean over each interval; without multipliers that of the cost alone
-    arriving : (d, K), derivatives by x before the crossings of the terms of f̄ there
+    hamiltonian : mean over each interval of all phases; without multipliers that of the cost alone
     """
 
     cost: float
     cost_size: float
-    action: float
+    costs: np.ndarray
+    actions: np.ndarray
     equations: np.ndarray
     sizes: np.ndarray
     slope: np.ndarray
     hamiltonian: np.ndarray
-    arriving: np.ndarray
 
 
 class ControlGraph:
-    """The nonlinear program of a control problem as Functions of (unknowns, data).
+    """The nonlinear program of control problems as Functions of (unknowns, data).
 
     Parameters
     ----------
-    problem : ControlProblem
-    chain : Chain
+    phases : ControlProblems
+    joins : what joins them
+    numbering : Numbering
     mapping : how L, cost and forces are evaluated at the points, as for `Functional`
 
     Attributes
     ----------
     unknowns, data : MX symbols
     cost, equations : MX expressions f and G
-    terms : PointwiseTerms of all kinds of places
+    places : Places of all kinds
     inputs : MX expressions A ξ, the inputs at all kinds of places
     """
 
-    def __init__(self, problem: ControlProblem, chain: Chain, mapping: PointMap) -> None:
-        self.chain, self.embedding = chain, ChainEmbedding(chain)
-        made = self.embedding
-        self.terms = pointwise_terms(problem, made, mapping)
-        self.unknowns, self.data = ca.MX.sym("unknowns", chain.unknowns), ca.MX.sym("data", chain.size - chain.unknowns)
+    def __init__(self, phases: Sequence[ControlProblem], joins: Joins, numbering: Numbering, mapping: PointMap) -> None:
+        joined = len(phases) > 1
+        self.numbering, self.joins, self.embedding = numbering, joins, Embedding(numbering, joined)
+        made, count = self.embedding, numbering.unknowns
+        self.places = all_places(phases, joins, made, mapping)
+        self.unknowns, self.data = ca.MX.sym("unknowns", count), ca.MX.sym("data", numbering.size - count)
         self._everything = ca.vertcat(self.unknowns, self.data)
         self.inputs = _split(ca.mtimes(made.matrix, self._everything), made.inputs)
-        self._weights = ca.MX(ca.repmat(ca.DM(chain.method.element.weights).T, 1, chain.intervals))
-        self.cost = ca.densify(self._integral(self._evaluate("value", self.inputs)))
+        rule = ca.DM(numbering.chains[0].method.element.weights).T
+        every = {count: ca.MX(ca.repmat(rule, 1, count // rule.numel())) for count in {p.count for p in self._along}}
+        self._weights = [every[place.count] if place.integrated else 1.0 for place in self.places]
+        self.cost = ca.densify(self._total(self._evaluate("value", self.inputs)))
         self._rows = self._evaluate("equations", self.inputs)
         summed = ca.mtimes(made.test.T, ca.veccat(*self._rows)) + ca.mtimes(made.linear, self.unknowns)
         self.equations = ca.densify(summed)
 
     def _evaluate(self, name: str, *arguments: list[ca.MX]) -> list[ca.MX]:
         """Evaluate one pointwise Function at all kinds of places."""
-        return [getattr(place, name)(*given) for place, *given in zip(self.terms, *arguments, strict=True)]
+        given = zip(self.places, *arguments, strict=True)
+        return [place.evaluate(getattr(place.terms, name), *arrays) for place, *arrays in given]
 
-    def _integral(self, values: list[ca.MX]) -> ca.MX:
+    @property
+    def _along(self) -> list[Places]:
+        """The quadrature points of all phases."""
+        return [place for place in self.places if place.integrated]
+
+    def _weighted(self, values: list[ca.MX]) -> list[ca.MX]:
+        """Values at all kinds of places, those at quadrature points with their weights."""
+        return [value * weight for value, weight in zip(values, self._weights, strict=True)]
+
+    def _total(self, values: list[ca.MX]) -> ca.MX:
         """The integral of values at the quadrature points, plus those at all other kinds of places."""
-        return ca.sum2(ca.horzcat(self._weights * values[0], *values[1:]))
+        return ca.sum2(ca.horzcat(*self._weighted(values)))
 
     def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
         """Blockdiag(·) of one matrix per place, from their nonzeros at all kinds of places."""
@@ -106,14 +123,13 @@ class ControlGraph:
     @cached_property
     def _gradients(self) -> ca.MX:
         """[w_k ∇c_k], structurally zero at places without costs."""
-        gradients = self._evaluate("gradient", self.inputs)
-        gradients[0] *= ca.repmat(self._weights, gradients[0].size1(), 1)
-        return ca.veccat(*gradients)
+        gradients = zip(self.places, self._evaluate("gradient", self.inputs), self._weights, strict=True)
+        return ca.veccat(*(g * ca.repmat(w, g.size1(), 1) if place.integrated else g for place, g, w in gradients))
 
     @cached_property
     def _derivatives(self) -> ca.MX:
         """Blockdiag(∇e_k)."""
-        patterns = [place.derivatives.sparsity() for place in self.terms]
+        patterns = [place.terms.derivatives.sparsity() for place in self.places]
         return self._blocks(patterns, self._evaluate("jacobian", self.inputs))
 
     def _function(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
@@ -136,15 +152,19 @@ class ControlGraph:
     @cached_property
     def _lagrangian(self) -> tuple[ca.MX, ca.MX, tuple[list[ca.MX], ...], ca.MX]:
         """Symbols φ and λ, the arguments of the pointwise derivatives of f̄, and Λᵀλ."""
-        made, factor, multipliers = self.embedding, ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
-        weights = [factor * self._weights] + [factor] * (len(self.terms) - 1)
+        made, factor, multipliers = (
+            self.embedding,
+            ca.MX.sym("factor"),
+            ca.MX.sym("multipliers", self.numbering.equations),
+        )
+        weights = [factor * weight for weight in self._weights]
         local_multipliers = _split(ca.mtimes(made.test, multipliers), made.outputs)
         return factor, multipliers, (self.inputs, weights, local_multipliers), ca.mtimes(made.linear.T, multipliers)
 
     @cached_property
     def _upper_hessian(self) -> ca.MX:
         """Upper half of ∇²f̄."""
-        patterns = [place.second_derivatives.sparsity() for place in self.terms]
+        patterns = [place.terms.second_derivatives.sparsity() for place in self.places]
         blocks = self._blocks(patterns, self._evaluate("hessian", *self._lagrangian[2]))
         left, right = ca.MX(self.embedding.derivative.T), ca.mtimes(blocks, self.embedding.derivative)
         return ca.mac(left, right, ca.MX.zeros(ca.triu(ca.mtimes(left.sparsity(), right.sparsity()))))
@@ -169,29 +189,38 @@ class ControlGraph:
         Two sizes of every equation are among them: the sum of the sizes of its terms, and the sum of the sizes of the
         terms of these, Σ |∂e/∂z| |z|, which may cancel.
         """
-        chain, made, (factor, multipliers, given, linear) = self.chain, self.embedding, self._lagrangian
-        (at, weights, local_multipliers), points = given, made.points
-        part, duration = (int(points.row(name)[0, 0]) for name in ("part", "duration"))
-        actions, by_step = self.terms[0].action_and_derivative(part)(at[0], weights[0], local_multipliers[0])
-        test, sizes = ca.fabs(made.test.T), ca.MX.sym("sizes", chain.unknowns)
+        made, (factor, multipliers, given, linear) = self.embedding, self._lagrangian
+        local_multipliers = given[2]
+        test, sizes = ca.fabs(made.test.T), ca.MX.sym("sizes", self.numbering.unknowns)
         others = ca.mtimes(ca.fabs(made.linear), sizes)
         magnitudes = ca.mtimes(ca.fabs(made.differentiated), ca.vertcat(sizes, ca.fabs(self.data)))
         canceled = ca.mtimes(ca.fabs(self._derivatives), magnitudes)
         slopes = self._gradients + ca.mtimes(self._derivatives.T, ca.veccat(*local_multipliers))
-        active = [z[place.active.tolist(), :] for place, z in zip(self.terms, self.inputs, strict=True)]
+        active = [z[place.terms.active.tolist(), :] for place, z in zip(self.places, self.inputs, strict=True)]
         changes = [z - ca.repmat(ca.sum2(z) / z.shape[1], 1, z.shape[1]) for z in active]
-        crossings = list(zip(self.terms, *given, strict=True))[len(at) - len(chain.crossed) :]
-        arriving = ca.veccat(*(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings))
+        values, along = self._weighted(self._evaluate("value", self.inputs)), zip(self.places, *given, strict=True)
+        costs, actions, hamiltonians = list[ca.MX](), list[ca.MX](), list[ca.MX]()
+        for place, z, *with_multipliers in along:
+            if place.integrated:
+                phase = made.phases[len(actions)]
+                part, duration = (
+                    int(phase.points.row(name)[0, 0] - phase.points.first) for name in ("part", "duration")
+                )
+                action, by_step = place.evaluate(place.terms.action_and_derivative(part), z, *with_multipliers)
+                costs.append(ca.sum2(ca.horzcat(*values[: len(phase.inputs)])))
+                values = values[len(phase.inputs) :]
+                actions.append(ca.sum2(with_multipliers[0] / factor * action))
+                hamiltonians.append(ca.sum1(ca.reshape(by_step / z[duration, :], -1, phase.chain.intervals)).T)
         outputs = [
             self.cost,
-            self._integral(self._evaluate("cost_terms", self.inputs, changes)),
+            self._total(self._evaluate("cost_terms", self.inputs, changes)),
+            ca.vertcat(*costs),
+            ca.vertcat(*actions),
             self.equations,
-            ca.sum2(self._weights * actions),
             ca.mtimes(test, ca.fabs(ca.veccat(*self._rows))) + others,
             ca.mtimes(test, canceled) + others,
             ca.mtimes(made.derivative.T, slopes) + linear,
-            ca.sum1(ca.reshape(by_step / at[0][duration, :], -1, chain.intervals)),
-            arriving,
+            ca.vertcat(*hamiltonians),
         ]
         verification = self._function("verification", [*map(ca.densify, outputs)], factor, multipliers, sizes)
         return ObjectPool(lambda: Evaluator(verification))
@@ -201,21 +230,48 @@ class ControlGraph:
 
         The sizes of the unknowns are the largest of their kind: an end or a waypoint may be where the path is at zero.
         """
-        chain = self.chain
-        given = np.zeros(chain.equations) if multipliers is None else multipliers
-        sizes = largest_of(np.abs(unknowns), chain.unknown_kinds)[chain.unknown_kinds]
+        numbers = self.numbering
+        given = np.zeros(numbers.equations) if multipliers is None else multipliers
+        sizes = largest_of(np.abs(unknowns), numbers.unknown_kinds)[numbers.unknown_kinds]
         with self._verification.lend() as evaluate:
-            values = evaluate(unknowns, data, np.ones(1), given, sizes)
-        cost, of_changes, equations, action, *terms, slope, hamiltonian, arriving = values
+            cost, of_changes, *arrays = evaluate(unknowns, data, np.ones(1), given, sizes)
+        costs, actions, equations, *terms, slope, hamiltonian = arrays
         # The terms of a component at rest are only roundoff of its slopes, which is measured by the sizes of the terms
         # that cancel in the slopes.  The sizes of other components do not include these.
-        moving, canceled = (largest_of(sizes, chain.kinds) for sizes in terms)
+        moving, canceled = (largest_of(sizes, numbers.kinds) for sizes in terms)
         at_rest = np.isfinite(canceled) & (moving <= ROUNDOFF_ONLY * canceled)
         sizes = np.fmax(moving, canceled)
-        sizes[chain.motions] = np.where(at_rest, canceled, moving)[chain.motions]
-        arriving = arriving.reshape(-1, chain.dimension).T
+        for chain in numbers.chains:
+            sizes[chain.motions] = np.where(at_rest, canceled, moving)[chain.motions]
         size = max(abs(cost.item()), LEAST_COST * of_changes.item())
-        return Report(cost.item(), size, action.item(), equations, sizes, slope, hamiltonian, arriving)
+        return Report(cost.item(), size, costs, actions, equations, sizes, slope, hamiltonian)
+
+
+def phases_of(problem: ControlProblem | Phases) -> Sequence[ControlProblem]:
+    """The phases into which a problem is parted."""
+    return problem.phases if isinstance(problem, Phases) else sections(problem)
+
+
+def meshes_of(phases: Sequence[ControlProblem], mesh: np.ndarray) -> list[np.ndarray]:
+    """The joints of every phase, of those of the whole."""
+    cuts = np.searchsorted(mesh, [phase.t_span[1] for phase in phases]).tolist()
+    return [mesh[first : last + 1] for first, last in pairwise([0, *cuts])]
+
+
+def graph_of(
+    problem: ControlProblem | Phases, method: Galerkin, mesh: np.ndarray, mapping: PointMap = one_by_one
+) -> ControlGraph:
+    """Build the Functions of a program."""
+    phases, several = phases_of(problem), isinstance(problem, Phases)
+    joins = problem.joins if isinstance(problem, Phases) else joined_sections(problem, phases)
+    free = len(phases) > 1 and any(phase.duration_bounds is not None for phase in phases)
+    chains = [Chain(phase, method, one, free) for phase, one in zip(phases, meshes_of(phases, mesh), strict=True)]
+    cuts = np.cumsum([len(chain.unknown_stages) for chain in chains])
+    fields = [
+        Field(f"join {i}", words, f"join {i}", range(count), float(cuts[after] - 1 - cuts[-1]))
+        for i, (words, after, count) in enumerate(zip(joins.words, joins.after, joins.counts, strict=True))
+    ]
+    return ControlGraph(phases, joins, Numbering(chains, fields, not several), mapping)
 
 
 def _split(stacked: ca.MX, places: Sequence[PlaceLayout]) -> list[ca.MX]:

@@ -1,23 +1,20 @@
-"""The numbering of the unknowns and of the equations of an optimization, stage by stage.
+"""The numbering of the unknowns and of the equations of an optimization, phase by phase and stage by stage.
 
-All unknowns and all data of an optimization are one vector ξ = (unknowns, data).  The unknowns form a chain of N + 1
-stages.  At every joint there is a state: x, p and the free constants, which are durations and parameters.  The other
-unknowns of a stage belong to the interval after the joint: the values of the path at the other nodes, the controls, and
-the impulses of a constraint.  The velocities at the two ends are further unknowns of the first and of the last stage.
-The equations of a stage are first those that determine the next state, and then all others.
-
-The value of the path at the end of an interval and the state after it are different unknowns, which an equation makes
-equal.  Where the path jumps, the law of the jump replaces this equation.  It depends on the velocity just before the
-jump, and so does a waypoint that is a function.  This velocity is then a further unknown of the interval, determined by
-the momentum with which the path arrives.
+All unknowns and all data of an optimization are one vector ξ = (unknowns, data), phase by phase.  The unknowns of a
+phase form a chain of N + 1 stages.  At every joint there is a state: x, p and the free constants, which are the time of
+the start, the duration and parameters.  The other unknowns of a stage belong to the interval after the joint: the
+values of the path at the other nodes, the controls, and the impulses of a constraint.  The velocities at the two ends
+are further unknowns of the first and of the last stage.  The equations of a stage are first those that determine the
+next state, and then all others.  Behind the equations of all phases are those that join them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain as chained
 
 import numpy as np
 
@@ -71,7 +68,7 @@ def length(fields: Iterable[Field]) -> int:
 def numbered(stages: Stages, first: int = 0) -> dict[str, np.ndarray]:
     """Number the entries of all fields, stage by stage; for every name (number of stages that have it, *shape)."""
     parts: dict[str, list[np.ndarray]] = {}
-    for field in chain(*stages):
+    for field in chained(*stages):
         parts.setdefault(field.name, []).append(first + np.arange(field.size).reshape(field.shape))
         first += field.size
     return {name: np.stack(arrays) for name, arrays in parts.items()}
@@ -80,7 +77,7 @@ def numbered(stages: Stages, first: int = 0) -> dict[str, np.ndarray]:
 def kinds_of(stages: Stages, numbers: Mapping[str, np.ndarray]) -> np.ndarray:
     """Number the kinds of all entries: one for each component of the fields of one `kind`, in their order."""
     kinds, firsts, count = np.empty(sum(map(length, stages)), dtype=np.int64), dict[str, int](), 0
-    for field in {field.name: field for field in chain(*stages)}.values():
+    for field in {field.name: field for field in chained(*stages)}.values():
         if field.kind not in firsts:
             firsts[field.kind], count = count, count + len(field.components)
         kinds[numbers[field.name]] = firsts[field.kind] + np.arange(len(field.components))
@@ -99,13 +96,14 @@ def located(stages: Stages, number: int) -> tuple[str, float]:
 
 
 class Chain:
-    """Numbering of ξ, and of the equations, of a control problem on N intervals.
+    """Numbering of the unknowns, data and equations of one phase on N intervals, in numbers of the whole program.
 
     Parameters
     ----------
-    problem : ControlProblem
+    problem : ControlProblem, without jumps and waypoints that are functions
     method : Galerkin
     mesh : (N + 1,), with the breakpoints of the problem among its joints
+    begins_free : whether the time of the start is an unknown, as after a phase of free duration
 
     Attributes
     ----------
@@ -114,41 +112,34 @@ class Chain:
     controls, parameters, constraints, path_constraints, conditions : numbers of controls, parameters, holonomic
         constraints, path constraints and end conditions, with path constraints that limit the end
     terminal_cost : whether there is a terminal cost
-    free : which of "durations" and "parameters" are unknowns, in this order
+    free : which of "begin", "duration" and "parameters" are unknowns, in this order
     breaks : numbers of the joints at the breakpoints
-    conditions_there : numbers of conditions at the crossings
-    crossed : (K,), numbers of the joints of the crossings
-    jumped : (K,), whether the path jumps there
-    phases : (N,), number of the phase to which every interval belongs; phases have free durations of their own
     velocities_of_rates : whether the running cost or a path constraint depends on the velocity of a component that
         follows a rate
-    unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
+    unknowns, equations, given : numbers of its unknowns, equations and data
     unknown_stages, equation_stages : for every stage the fields of its unknowns, and those of its equations
     fields : name -> entries of ξ: "x" (N + 1, d), "momentum" (N + 1, mechanical), "nodes" (N, m, d), the values at the
         nodes after the first, "controls" (N, points, n), "impulses" (N, m, constraints) at these nodes and
-        "start_impulse" (constraints,), "start_velocity", "end_velocity" (mechanical,), "velocity" (K, mechanical)
-        before the crossings, "durations" (N + 1, phases) and "parameters" (N + 1, count), equal at all joints.  And
-        data: "begin" (1,), the time of the start; "left" and "part" (N,), the time from the start of the phase to the
-        interval, and the length of the interval, both over the duration of the phase; "sizes" (mechanical,), the units
-        of the momenta
+        "start_impulse" (constraints,), "start_velocity", "end_velocity" (mechanical,), "begin" and "duration"
+        (N + 1, 1), the time of the start, and the duration, and "parameters" (N + 1, count), equal at all joints.  And
+        data: "left" and "part" (N,), the time from the start to the interval, and the length of the interval, both
+        over the duration; "sizes" (mechanical,), the units of the momenta
     rows : name -> equations: "x", "momentum", "constants" (N, ...) determine the next states; "motion"
         (N, m, mechanical) are the equations of motion of the nodes before the last; "rates" (N, m, others); "path"
         (N, r, count); "constraint" (N, m, constraints) and "start_constraint" are a constraint, "start_tangent" and
         "end_tangent" its time derivative; "start", "end" (mechanical,) are ∂L/∂v = p at the ends; "ends" are the end
-        conditions; "arrival" (K, mechanical) are the momenta before the crossings, and "waypoint 0" and so on the
-        conditions there
-    arrivals : (N, mechanical), equations of the momenta at the ends of the intervals
+        conditions
     departures : (N + 1, mechanical), equations of the momenta at the starts of the intervals, and of the last momentum
     kinds : (equations,), equal for equations whose terms are the same quantity
     unknown_kinds : (unknowns,), equal for unknowns that are values of the same quantity
-    motions, rated : those kinds that are equations of motion, a slice, and those that are rates, indices
+    motions, rated : those kinds that are equations of motion, and those that are rates
     end_conditions : (g, lo, hi), those of the problem and what path constraints ask of the end
     stages : for every stage the numbers of its states, of its other unknowns, and of its equations that do not
         determine the next state
     control_times : fractions of an interval at which its controls are given; held controls have one value, at 1/2
     """
 
-    def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
+    def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray, begins_free: bool = False) -> None:
         self.method, self.intervals, self.dimension = method, len(mesh) - 1, problem.dimension
         self.mechanical, self.controls, self.constraints = problem.mechanical, problem.controls, problem.constraints
         self.parameters, self.terminal_cost = len(problem.parameters or ()), problem.terminal_cost is not None
@@ -159,14 +150,10 @@ class Chain:
         self._words_of_ends = (
             "condition {} on the end, stated or by a path constraint" if limited else "end condition {}"
         )
-        bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}
-        self.free = tuple(name for name, bounds in bounded.items() if bounds is not None)
-        self.breaks, crossings = np.searchsorted(mesh, problem.breakpoints), problem.crossings
-        self.crossed = np.searchsorted(mesh, [crossing.time for crossing in crossings]).astype(np.int64)
-        self.jumped = np.array([crossing.jump is not None for crossing in crossings], dtype=bool)
-        self.conditions_there = [0 if c.condition is None else len(c.condition[1]) for c in crossings]
-        parted = self.breaks if "durations" in self.free else ()
-        self.phases = np.searchsorted(parted, np.arange(self.intervals), side="right")
+        lasting, parameters = problem.duration_bounds is not None, problem.parameter_bounds is not None
+        freed = {"begin": begins_free, "duration": lasting, "parameters": parameters}
+        self.free = tuple(name for name, free in freed.items() if free)
+        self.breaks = np.searchsorted(mesh, problem.breakpoints)
         self.control_times = np.array([0.5]) if problem.hold else method.element.points
         along = problem.running_cost, problem.path_constraint[0]
         of_rates = np.arange(self.dimension) >= self.mechanical
@@ -177,9 +164,10 @@ class Chain:
     def _number_unknowns(self) -> None:
         n, moving, nodes = self.intervals, range(self.mechanical), self.method.element.nodes[1:]
         x, velocity = ("x[{}]", "x", range(self.dimension)), ("velocity", moving)
-        impulse, phases = ("impulse", range(self.constraints)), range(int(self.phases[-1]) + 1)
+        impulse = "impulse", range(self.constraints)
         constants = [
-            Field("durations", "the duration" + "[{}]" * (len(phases) > 1), "durations", phases),
+            Field("begin", "the time of the start", "begin", range(1)),
+            Field("duration", "the duration", "duration", range(1)),
             Field("parameters", "p[{}]", "parameters", range(self.parameters)),
         ]
         free = [constant for constant in constants if constant.name in self.free]
@@ -194,18 +182,14 @@ class Chain:
             Field("start_impulse", "start_impulse[{}]", *impulse),
         ]
         at_end = Field("end_velocity", "end_velocity[{}]", *velocity)
-        crossing = Field("velocity", "the velocity[{}]", *velocity, 1.0)
-        lengths = {"begin": 1, "left": n, "part": n, "sizes": self.mechanical}
+        lengths = {"left": n, "part": n, "sizes": self.mechanical}
         given = [Field(name, name, name, range(count)) for name, count in lengths.items()]
         data = [constant for constant in constants if constant not in free] + given
-        others = [[*chosen, *([crossing] if i + 1 in self.crossed else [])] for i in range(n)]
-        others = [[*others[0], *at_start], *others[1:], [at_end]]
+        others = [[*chosen, *at_start], *[chosen] * (n - 1), [at_end]]
         self._widths = [(length(state), length(other)) for other in others]
         self.unknown_stages: Stages = [[*state, *other] for other in others]
-        self.unknowns = sum(map(sum, self._widths))
-        self.size = self.unknowns + length(data)
+        self.unknowns, self.given = sum(map(sum, self._widths)), length(data)
         fields = numbered(self.unknown_stages) | numbered([data], self.unknowns)
-        fields.setdefault("velocity", np.zeros((0, self.mechanical), dtype=np.int64))
         once = {field.name: fields[field.name][0] for field in (*at_start, at_end, *given)}
         alike = {c.name: np.broadcast_to(fields[c.name], (n + 1, *c.shape)) for c in constants}
         self.fields = {**fields, **once, **alike}
@@ -216,7 +200,7 @@ class Chain:
         n, d, element, held = self.intervals, self.dimension, self.method.element, range(self.constraints)
         motion = "the equation of motion of x[{}]", "motion", range(self.mechanical)
         constraint, tangent = ("constraint {}", "constraint", held), ("the rate of constraint {}", "tangent", held)
-        constants = "the continuity of the duration or parameter[{}]", "constants", range(self.free_constants)
+        constants = "the continuity of a time or parameter[{}]", "constants", range(self.free_constants)
         tied = [
             Field("x", "the continuity of x[{}]", "x", range(d), 1.0),
             Field("momentum", *motion, 1.0),
@@ -232,59 +216,31 @@ class Chain:
         at_start = [Field("start", *motion), Field("start_constraint", *constraint), Field("start_tangent", *tangent)]
         ends = Field("ends", self._words_of_ends, "ends", range(self.conditions))
         at_end = [Field("end", *motion), Field("end_tangent", *tangent), ends]
-        named = [(f"waypoint {k}", range(count)) for k, count in enumerate(self.conditions_there)]
-        waypoints = [Field(name, "condition {}", name, conditions, 1.0) for name, conditions in named]
-        arrival, joints = Field("arrival", *motion, 1.0), self.crossed.tolist()
-        passed = {joint - 1: [arrival, waypoint] for joint, waypoint in zip(joints, waypoints, strict=True)}
-        further = [[*inner, *passed.get(i, [])] for i in range(n)]
-        further = [[*further[0], *at_start], *further[1:], at_end]
+        further = [[*inner, *at_start], *[inner] * (n - 1), at_end]
         self.equation_stages: Stages = [[*(tied if i < n else []), *other] for i, other in enumerate(further)]
         rows = numbered(self.equation_stages)
-        rows.setdefault("arrival", np.zeros((0, self.mechanical), dtype=np.int64))
-        self.rows = rows | {field.name: rows[field.name][0] for field in (*at_start, *at_end, *waypoints)}
-        self.arrivals = rows["momentum"].copy()
-        self.arrivals[self.crossed - 1] = rows["arrival"]
+        self.rows = rows | {field.name: rows[field.name][0] for field in (*at_start, *at_end)}
         self.departures = np.vstack((rows["motion"][:, 0], rows["momentum"][-1:]))
         self.equations = sum(map(length, self.equation_stages))
         self.stages = [(*width, length(other)) for width, other in zip(self._widths, further, strict=True)]
         self.kinds = kinds_of(self.equation_stages, self.rows)
-        self.motions, self.rated = slice(d, d + self.mechanical), np.unique(self.kinds[self.rows["rates"]])
+        self.motions, self.rated = np.arange(d, d + self.mechanical), np.unique(self.kinds[self.rows["rates"]])
 
-    def pack(self, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Unknowns and data from one array per field; zero where a field has none."""
-        everything = np.zeros(self.size)
-        for name, array in values.items():
-            everything[self.fields[name]] = array
-        return everything[: self.unknowns], everything[self.unknowns :]
-
-    def unpack(self, unknowns: np.ndarray, data: np.ndarray) -> dict[str, np.ndarray]:
-        """One array per field from unknowns and data; durations and parameters without the axis of the joints."""
-        everything = np.concatenate((unknowns, data))
-        values = {name: everything[index] for name, index in self.fields.items()}
-        return values | {name: values[name][-1] for name in ("durations", "parameters")}
-
-    def units(self, sizes: np.ndarray) -> np.ndarray:
-        """Unit of every equation: `sizes` for the equations of motion, else one."""
-        units = np.ones(self.kinds.max() + 1)
-        units[self.motions] = sizes
-        return units[self.kinds]
+    def moved(self, unknowns: int, data: int, equations: int, kinds: int, unknown_kinds: int) -> Chain:
+        """The chain with all its numbers increased, of unknowns, data, equations and kinds."""
+        other, first = copy(self), np.array([unknowns, data])
+        other.fields = {name: index + first[(index >= self.unknowns) + 0] for name, index in self.fields.items()}
+        other.rows = {name: index + equations for name, index in self.rows.items()}
+        other.departures = self.departures + equations
+        other.kinds, other.unknown_kinds = self.kinds + kinds, self.unknown_kinds + unknown_kinds
+        other.motions, other.rated = self.motions + kinds, self.rated + kinds
+        return other
 
     def path(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> PiecewisePolynomial:
-        """The path, with separate values before the joints where it jumps."""
+        """The path through the values of the fields."""
         local = np.concatenate((values["x"][:-1, None], values["nodes"][:, :-1]), axis=1)
         everything = np.vstack((local.reshape(-1, self.dimension), values["x"][-1])).T
-        jumped = self.crossed[self.jumped]
-        return self._jumping(mesh, everything, jumped, values["nodes"][jumped - 1, -1])
-
-    def _jumping(
-        self, mesh: np.ndarray, values: np.ndarray, joints: np.ndarray, before: np.ndarray
-    ) -> PiecewisePolynomial:
-        """Node values (d, N m + 1) as a path, with separate values (K, d) before some joints."""
-        m, arrivals = self.method.degree, None
-        if len(joints):
-            arrivals = values[:, m::m].copy()
-            arrivals[:, joints - 1] = before.T
-        return PiecewisePolynomial(mesh, self.method.element.nodes, values, arrivals)
+        return PiecewisePolynomial(mesh, self.method.element.nodes, everything)
 
     @cached_property
     def _rate_basis(self) -> np.ndarray:
@@ -292,7 +248,7 @@ class Chain:
         return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes)
 
     def costate(
-        self, multipliers: np.ndarray, bounds: np.ndarray, arriving: np.ndarray, mesh: np.ndarray
+        self, multipliers: np.ndarray, bounds: np.ndarray, mesh: np.ndarray, first: np.ndarray | None
     ) -> PiecewisePolynomial:
         """The multipliers of the equations of motion, and of the rates, as a path.
 
@@ -304,8 +260,8 @@ class Chain:
         Parameters
         ----------
         multipliers, bounds : of the equations, and of the bounds of the unknowns
-        arriving : (d, K), derivatives of the Lagrangian by x before the crossings
         mesh : (N + 1,)
+        first : that of the rates at the start, where it is known from a link
         """
         m, others = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
@@ -316,12 +272,85 @@ class Chain:
             ends = -multipliers[self.rows["x"]][:, others]
             rates[1:, 0] = ends[:-1]
             rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, others]]
+            rates[0, 0] = rates[0, 0] if first is None else first
         values = np.hstack((motion, np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1])))).T
         jumping = np.arange(1, self.intervals) if self.velocities_of_rates else self.breaks
-        before = np.hstack((motion[m * jumping], ends[jumping - 1]))
-        at_crossings = np.isin(jumping, self.crossed)
-        before[at_crossings, : self.mechanical] = -multipliers[self.rows["arrival"]]
-        if not self.velocities_of_rates:
-            arrived = arriving[others].T + bounds[self.fields["nodes"][self.crossed - 1, -1, others]]
-            before[at_crossings, others] = arrived
-        return self._jumping(mesh, values, jumping, before)
+        arrivals = values[:, m::m].copy()
+        arrivals[others, jumping - 1] = ends[jumping - 1].T
+        return PiecewisePolynomial(mesh, self.method.element.nodes, values, arrivals if len(jumping) else None)
+
+
+class Numbering:
+    """Numbering of ξ, and of the equations, of a whole program.
+
+    Parameters
+    ----------
+    chains : of the phases, each as if it were alone
+    joins : fields of the equations that join the phases
+    alike : whether components, controls and parameters are the same quantities in all phases
+
+    Attributes
+    ----------
+    chains : of the phases, in numbers of the program
+    unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
+    joins : name -> equations that join the phases
+    kinds, unknown_kinds, alike : as those of a chain, and as given
+    unknown_stages, equation_stages : of all phases, and behind them one of the equations that join them
+    """
+
+    def __init__(self, chains: Sequence[Chain], joins: Sequence[Field] = (), alike: bool = True) -> None:
+        parts = np.array(
+            [(c.unknowns, c.given, c.equations, max(c.kinds) + 1, max(c.unknown_kinds) + 1) for c in chains]
+        )
+        before = np.cumsum(np.vstack((np.zeros_like(parts[:1]), parts)), axis=0)
+        if alike:
+            before[:-1, 3:], before[-1, 3:] = 0, parts[:, 3:].max(axis=0)
+        self.unknowns, data, first, kinds, _ = before[-1].tolist()
+        others = self.unknowns - parts[:, 0]
+        self.chains = [
+            chain.moved(unknowns, data + other, *numbers)
+            for chain, other, (unknowns, data, *numbers) in zip(chains, others.tolist(), before.tolist(), strict=False)
+        ]
+        self.size, self.equations = self.unknowns + data, first + length(joins)
+        self.joins = {name: index[0] for name, index in numbered([joins], first).items()}
+        self.alike = alike
+        self.unknown_stages: Stages = [stage for chain in chains for stage in chain.unknown_stages]
+        self.equation_stages: Stages = [*(stage for chain in chains for stage in chain.equation_stages), joins]
+        self.unknown_kinds = np.concatenate([chain.unknown_kinds for chain in self.chains])
+        self.kinds = np.concatenate([*(chain.kinds for chain in self.chains), kinds + np.arange(length(joins))])
+
+    def pack(self, values: Iterable[dict[str, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+        """Unknowns and data from one array per field of every phase; zero where a field has none."""
+        everything = np.zeros(self.size)
+        for chain, arrays in zip(self.chains, values, strict=True):
+            for name, array in arrays.items():
+                everything[chain.fields[name]] = array
+        return everything[: self.unknowns], everything[self.unknowns :]
+
+    def unpack(self, unknowns: np.ndarray, data: np.ndarray) -> list[dict[str, np.ndarray]]:
+        """One array per field of every phase; free constants without the axis of the joints."""
+        everything, phases = np.concatenate((unknowns, data)), list[dict[str, np.ndarray]]()
+        for chain in self.chains:
+            values = {name: everything[index] for name, index in chain.fields.items()}
+            phases.append(values | {name: values[name][-1] for name in ("begin", "duration", "parameters")})
+        return phases
+
+    def whole(self) -> dict[str, np.ndarray]:
+        """Entries of x at the joints (N + 1, d), of controls (N points, n) and durations, where phases are alike."""
+        *others, last = self.chains
+        joints = np.vstack([*(chain.fields["x"][:-1] for chain in others), last.fields["x"]])
+        controls = np.vstack([np.concatenate(chain.fields["controls"]) for chain in self.chains])
+        durations = np.concatenate([chain.fields["duration"][-1] for chain in self.chains])
+        return {"x": joints, "controls": controls, "durations": durations}
+
+    def entries(self, *names: str) -> np.ndarray:
+        """Numbers of the unknowns in fields of all phases, one after the other; data are left out."""
+        found = np.concatenate([chain.fields[name].ravel() for chain in self.chains for name in names])
+        return found[found < self.unknowns]
+
+    def units(self, values: Iterable[dict[str, np.ndarray]]) -> np.ndarray:
+        """Unit of every equation: the "sizes" of the phases for the equations of motion, else one."""
+        units = np.ones(max(self.kinds) + 1)
+        for chain, arrays in zip(self.chains, values, strict=True):
+            units[chain.motions] = arrays["sizes"]
+        return units[self.kinds]

@@ -1,4 +1,4 @@
-"""Cost and equations at one quadrature point, end, node or breakpoint, as SX Functions with their derivatives.
+"""Cost and equations at one quadrature point, end or node, and at the ends of all phases, with their derivatives.
 
 At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the rows of the equations are
 
@@ -7,13 +7,12 @@ At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the
 with z the components that follow the rates ρ, and g the path constraints.  At either end e = ∂L/∂v(t, x, v) / S.  At
 both ends together, the cost is the terminal cost, and e are the end conditions.  A holonomic constraint c is imposed at
 the nodes by impulses I: there e = [ c,  GᵀI / S ] with G = ∂c/∂x, and at either end G v + ∂c/∂t is appended to e, so
-that velocities are tangent.  At a crossing, with (x, v) -> (x_+, v_+) the law of a jump or no change,
-e = [ x_+,  p / S,  p_+ / S,  w ], with p = ∂L/∂v before it and p_+ after it, and w the function that is bounded there.
+that velocities are tangent.  At the ends of all phases together, e and the cost are what joins these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -22,12 +21,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.control.control_embedding import ChainEmbedding, PlaceLayout
+from casadi_galerkin.control.control_embedding import Embedding, PhaseEmbedding, PlaceLayout
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
-from casadi_galerkin.problems.breakpoint_events import Crossing
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.legendre_transform import momentum_at
+from casadi_galerkin.problems.phases import Joins
 
 Terms = dict[str, ca.SX]  # the rows, and the cost and the action where there are any
 NO_TERM = ca.SX(1, 1)  # structurally zero
@@ -35,21 +34,17 @@ NO_TERM = ca.SX(1, 1)  # structurally zero
 
 @dataclass(frozen=True)
 class PointwiseTerms:
-    """The pointwise Functions at the places of one kind.
+    """The pointwise Functions at one place of a kind.
 
-    Each Function takes the inputs z of all places, (len(z), count), and for some weights and multipliers at all places.
+    Each Function takes the inputs z, and some a weight and multipliers.
 
     Parameters
     ----------
-    mapping : how a Function is evaluated at all places
-    count : number of places
     z : SX symbols of the inputs at one place
     active : numbers of the inputs that depend on unknowns; derivatives are by these
     rows, cost, action : SX expressions in z
     """
 
-    mapping: PointMap
-    count: int
     z: ca.SX
     active: np.ndarray
     rows: ca.SX
@@ -60,32 +55,30 @@ class PointwiseTerms:
     def _by(self) -> ca.SX:
         return self.z[self.active.tolist()]
 
-    def _function(self, inputs: list[ca.SX], *outputs: ca.SX) -> Callable[..., Any]:
-        """A Function of one place, evaluated at all places."""
-        if not any(output.nnz() for output in outputs):  # such as second derivatives of linear rows
-            return lambda *_: ca.MX(outputs[0].numel(), self.count)
-        function = ca.Function("terms", inputs, [*map(ca.densify, outputs)])
-        return self.mapping(function, self.count, ())
+    def _function(self, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
+        """A Function of one place; dense, unless all that it returns is structurally zero."""
+        some = any(output.nnz() for output in outputs)
+        return ca.Function("terms", inputs, [*map(ca.densify, outputs)] if some else [*outputs])
 
     @cached_property
-    def value(self) -> Callable[..., ca.MX]:
-        """(z) -> cost, one per place."""
+    def value(self) -> ca.Function:
+        """(z) -> cost."""
         return self._function([self.z], self.cost)
 
     @cached_property
-    def gradient(self) -> Callable[..., ca.MX]:
+    def gradient(self) -> ca.Function:
         """(z) -> gradient of the cost."""
         return self._function([self.z], ca.gradient(self.cost, self._by))
 
     @cached_property
-    def cost_terms(self) -> Callable[..., ca.MX]:
-        """(z, y) -> |y|ᵀ|∇²c||y| / 2 with changes y of the active inputs, one per place: the cost of these."""
+    def cost_terms(self) -> ca.Function:
+        """(z, y) -> |y|ᵀ|∇²c||y| / 2 with changes y of the active inputs: the cost of these."""
         change = ca.SX.sym("change", len(self.active))
         terms = ca.bilin(ca.fabs(ca.hessian(self.cost, self._by)[0]), *[ca.fabs(change)] * 2) / 2
         return self._function([self.z, change], terms)
 
     @cached_property
-    def equations(self) -> Callable[..., ca.MX]:
+    def equations(self) -> ca.Function:
         """(z) -> rows."""
         return self._function([self.z], self.rows)
 
@@ -95,7 +88,7 @@ class PointwiseTerms:
         return ca.jacobian(self.rows, self._by)
 
     @cached_property
-    def jacobian(self) -> Callable[..., ca.MX]:
+    def jacobian(self) -> ca.Function:
         """(z) -> nonzeros of the derivatives of the rows."""
         return self._function([self.z], ca.vertcat(*self.derivatives.nonzeros()))
 
@@ -111,42 +104,94 @@ class PointwiseTerms:
         return ca.hessian(self._lagrangian[1], self._by)[0]
 
     @cached_property
-    def hessian(self) -> Callable[..., ca.MX]:
+    def hessian(self) -> ca.Function:
         """(z, weight, multipliers) -> nonzeros of the second derivatives of the Lagrangian."""
         return self._function(self._lagrangian[0], ca.vertcat(*self.second_derivatives.nonzeros()))
 
     @cached_property
-    def lagrangian_gradient(self) -> Callable[..., ca.MX]:
+    def lagrangian_gradient(self) -> ca.Function:
         """(z, weight, multipliers) -> gradient of the Lagrangian."""
         inputs, value = self._lagrangian
         return self._function(inputs, ca.gradient(value, self._by))
 
-    def action_and_derivative(self, row: int) -> Callable[..., tuple[ca.MX, ca.MX]]:
+    def action_and_derivative(self, row: int) -> ca.Function:
         """(z, weight, multipliers) -> action, and derivative of the Lagrangian by one input."""
         inputs, value = self._lagrangian
         return self._function(inputs, self.action, ca.jacobian(value, self.z[row]))
 
 
-def pointwise_terms(problem: ControlProblem, embedding: ChainEmbedding, mapping: PointMap) -> list[PointwiseTerms]:
-    """The terms at all kinds of places that exist."""
+@dataclass(frozen=True)
+class Places:
+    """The places of one kind, and how a Function is evaluated at all of them.
+
+    Attributes
+    ----------
+    terms : PointwiseTerms
+    count : number of places
+    mapping : PointMap
+    integrated : whether their costs are weighted, as at quadrature points
+    """
+
+    terms: PointwiseTerms
+    count: int
+    mapping: PointMap
+    integrated: bool
+
+    def evaluate(self, function: ca.Function, *given: ca.MX) -> Any:
+        """Outputs of a pointwise Function for matrices of its inputs, with a column for every place."""
+        if not function.nnz_out():  # such as second derivatives of linear rows
+            return ca.MX(function.size1_out(0), self.count)
+        return self.mapping(function, self.count, ())(*given)
+
+
+def all_places(phases: Sequence[ControlProblem], joins: Joins, embedding: Embedding, mapping: PointMap) -> list[Places]:
+    """All kinds of places that exist, in the order of the embedding; equal terms are made once."""
+    made, shared = list[tuple[PlaceLayout, tuple[ca.SX, Terms]]](), dict[str, PointwiseTerms]()
+    for problem, of_phase in zip(phases, embedding.phases, strict=True):
+        for place in of_phase.inputs:
+            made.append((place, _terms(problem, of_phase, place)))
+    if embedding.joins is not None:
+        made.append((embedding.joins, _of_joins(phases, joins, embedding.joins)))
+    places, integrated = list[Places](), [of_phase.points for of_phase in embedding.phases]
+    for (place, (z, given)), active in zip(made, embedding.active, strict=True):
+        key = str(len(places))
+        if len(phases) > 1:
+            values = ca.Function("terms", [z], [given["rows"], *(given.get(k, NO_TERM) for k in ("cost", "action"))])
+            key = f"{values.serialize()} {active.tolist()}"
+        terms = shared.setdefault(key, PointwiseTerms(z, active, **given))
+        places.append(Places(terms, place.count, mapping, place in integrated))
+    return places
+
+
+def _inputs(place: PlaceLayout) -> tuple[ca.SX, dict[str, ca.SX]]:
+    """Symbols of the inputs at one place, as one vector and by name."""
+    z = ca.SX.sym("z", place.width)
+    parts = ca.vertsplit(z, np.cumsum([0, *place.rows.values()]).tolist())
+    return z, dict(zip(place.rows, parts, strict=True))
+
+
+def _terms(problem: ControlProblem, embedding: PhaseEmbedding, place: PlaceLayout) -> tuple[ca.SX, Terms]:
+    """The symbols, and what is evaluated, at one kind of place of a phase."""
     make: dict[PlaceLayout, Callable[..., Terms]] = {
         embedding.points: _at_points,
         embedding.either_end: _at_either_end,
         embedding.both_ends: partial(_at_both_ends, conditions=embedding.chain.end_conditions[0]),
         embedding.nodes: _at_nodes,
-        **{
-            place: partial(_at_crossing, crossing=crossing)
-            for place, crossing in zip(embedding.crossings, problem.crossings, strict=True)
-        },
     }
-    all_terms = []
-    for place, active in zip(embedding.inputs, embedding.active, strict=True):
-        z = ca.SX.sym("z", place.width)
-        inputs = dict(zip(place.rows, ca.vertsplit(z, np.cumsum([0, *place.rows.values()]).tolist()), strict=True))
-        inputs["parameters"] = [] if problem.parameters is None else [inputs["parameters"]]
-        terms = make[place](problem, *inputs.values())
-        all_terms.append(PointwiseTerms(mapping, place.count, z, active, **terms))
-    return all_terms
+    z, inputs = _inputs(place)
+    given: dict[str, Any] = inputs | {"parameters": [] if problem.parameters is None else [inputs["parameters"]]}
+    return z, make[place](problem, *given.values())
+
+
+def _of_joins(phases: Sequence[ControlProblem], joins: Joins, place: PlaceLayout) -> tuple[ca.SX, Terms]:
+    """The same at the ends of all phases."""
+    z, inputs = _inputs(place)
+    ends = list(inputs.values())
+    for k, problem in enumerate(phases):
+        for i in (7 * k + 2, 7 * k + 5):
+            ends[i] = _filled(ends[i], ca.SX(problem.dimension, 1))
+    terms = {"rows": joins.conditions[0](*ends)}
+    return z, terms if joins.cost is None else {**terms, "cost": joins.cost(*ends)}
 
 
 def _at_points(problem: ControlProblem, *inputs: Any) -> Terms:
@@ -173,7 +218,7 @@ def _at_either_end(problem: ControlProblem, *inputs: Any) -> Terms:
 
 
 def _at_both_ends(problem: ControlProblem, *inputs: Any, conditions: ca.Function) -> Terms:
-    x0, v0, x1, v1, p, t = inputs
+    _, x0, v0, t, x1, v1, p = inputs
     last = x1, _filled(v1, x1)
     rows = conditions(x0, _filled(v0, x0), *last, *p)
     cost = {} if problem.terminal_cost is None else {"cost": problem.terminal_cost(t, *last, *p)}
@@ -185,16 +230,6 @@ def _at_nodes(problem: ControlProblem, *inputs: Any) -> Terms:
     assert problem.constraint is not None, "there are such places only with a constraint"
     g = problem.constraint(begin + duration * fraction, x, *p)
     return {"rows": ca.vertcat(g, ca.mtimes(ca.jacobian(g, x).T, impulse) / sizes)}
-
-
-def _at_crossing(problem: ControlProblem, *inputs: Any, crossing: Crossing) -> Terms:
-    x, v, duration, p, begin, fraction, sizes = inputs
-    t, before = begin + duration * fraction, (x, _filled(v, x))
-    after = before if crossing.jump is None else crossing.jump(*before, *p)
-    rows = [after[0], *(_momentum(problem, t, place, velocity, p) / sizes for place, velocity in (before, after))]
-    if crossing.condition is not None:
-        rows.append(crossing.condition[0](*before, *p))
-    return {"rows": ca.vertcat(*rows)}
 
 
 def _momentum(problem: ControlProblem, t: ca.SX, x: ca.SX, v: ca.SX, p: list[ca.SX]) -> ca.SX:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,27 +21,27 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
+from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.continuous_controls import continuous_controls
-from casadi_galerkin.control.control_graph import ControlGraph
-from casadi_galerkin.control.control_numbering import Chain
-from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite, undefined
-from casadi_galerkin.control.initial_guess import first_values, near_answer
+from casadi_galerkin.control.control_answer import OptimalPoint, answer
+from casadi_galerkin.control.control_graph import graph_of, meshes_of, phases_of
+from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
+from casadi_galerkin.control.initial_guess import first_values, guesses_of_phases, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import LONGER_DURATION, first_found
-from casadi_galerkin.control.two_comparisons import compared, from_near
+from casadi_galerkin.control.two_comparisons import compared, from_near, phases_compared
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, fork_waits, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.bounds import FEASIBLE
-from casadi_galerkin.problems.constrained_motion import check_points, off_constraint, tangent_at_joints
+from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.solution.control_path import ControlPath
+from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
-from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
@@ -56,31 +57,32 @@ class StartingPoint:
 
     Attributes
     ----------
-    values : one array for every field of the `Chain` but impulses, which begin at zero
+    values : one array for every field of the `Chain` of every phase but impulses, which begin at zero
     duals : multipliers of the bounds and of the equations for a warm start, or an empty tuple
     sizes : sizes of the terms of every kind of equation
     """
 
-    values: dict[str, np.ndarray]
+    values: list[dict[str, np.ndarray]]
     duals: tuple[np.ndarray, ...]
     sizes: np.ndarray
 
 
 class ControlTranscription:
-    """A control problem on N intervals as a nonlinear program, built once and solved often.
+    """A control problem, or several phases, on N intervals as a nonlinear program, built once and solved often.
 
     Ends, velocities, parameters and joints are parameters of the program: nothing is rebuilt when they change.
 
     Parameters
     ----------
-    problem : ControlProblem
+    problem : ControlProblem or Phases
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`; with a free duration they scale with it
     mapping : how L, cost and forces are evaluated at the points, see `functional.mapping`
 
     Attributes
     ----------
-    chain : Chain, the numbering of unknowns and equations
+    phases, joins : what the problem is parted into, and what joins these
+    numbering : Numbering of unknowns and equations
     graph : ControlGraph, the Functions
     bounds : ProgramBounds
     calculus : DiscreteCalculus of the joints
@@ -97,18 +99,20 @@ class ControlTranscription:
     """
 
     def __init__(
-        self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray, mapping: PointMap = by_rows
+        self, problem: ControlProblem | Phases, method: Galerkin, mesh: np.ndarray, mapping: PointMap = by_rows
     ) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
-        check_points(problem.constraint, method)
+        self.calculus, self.breaks = DiscreteCalculus(method, mesh), np.searchsorted(mesh, problem.breakpoints)
         _check_steps(mesh)
-        self.chain = Chain(problem, method, mesh)
-        self.calculus = DiscreteCalculus(method, mesh)
+        self.phases = phases_of(problem)
+        for phase in self.phases:
+            check_points(phase.constraint, method)
         with fork_waits:
-            self.graph = ControlGraph(problem, self.chain, mapping)
-        self.bounds = bounds_of(problem, self.chain)
-        check_count(self.chain, self.bounds)
+            self.graph = graph_of(problem, method, mesh, mapping)
+        self.numbering, self.joins = self.graph.numbering, self.graph.joins
+        self.bounds = bounds_of(self.phases, self.joins, self.numbering)
+        check_count(self.numbering, self.bounds)
         self._solvers: dict[str, ObjectPool[Evaluator]] = {}
         self.build_seconds = time.perf_counter() - began
 
@@ -174,18 +178,19 @@ class ControlTranscription:
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
 
-        def attempt(by: Solver, at: Guess | None, longer: float = 1.0) -> ControlTrajectory:
+        def attempt(by: Solver, at: Guess | None, longer: float = 1.0) -> Any:
             begun = self.starting_point(problem, calculus, at, longer)
-            return self._solved(by, problem, calculus.mesh, begun, verbose, began)
+            return self._solved(by, problem, calculus, begun, verbose, began)
 
         attempts, other = [("from the guess", partial(attempt, solver, guess))], solver
         if solver.name == fatrop.name:  # which stalls more easily
             other = ipopt
             attempts.append(("from the same start", partial(attempt, other, guess)))
-        if guess is not None and not isinstance(guess, ControlTrajectory):
+        known = isinstance(guess, (ControlTrajectory, PhasesTrajectory))
+        if guess is not None and not known:
             attempts.append(("from the straight line", partial(attempt, other, None)))
-        bounds = problem.duration_bounds  # without them the cost may fall for ever
-        if bounds is not None and np.isfinite(bounds[1]).all() and not isinstance(guess, ControlTrajectory):
+        bounds = [side for phase in self.phases for side in (phase.duration_bounds or ((), ()))[1]]
+        if bounds and np.isfinite(bounds).all() and not known:  # without bounds the cost may fall for ever
             attempts.append(
                 (f"from {LONGER_DURATION:g} times the duration", partial(attempt, other, guess, LONGER_DURATION))
             )
@@ -199,10 +204,10 @@ class ControlTranscription:
         """The calculus of other joints, with the breakpoints at the same indices."""
         calculus = remeshed(self.calculus, mesh, self.problem.breakpoints)
         breaks = np.searchsorted(calculus.mesh, self.problem.breakpoints)
-        if not np.array_equal(breaks, self.chain.breaks):
+        if not np.array_equal(breaks, self.breaks):
             raise ValueError(
                 f"the breakpoints {self.problem.breakpoints} must keep their places among the joints: "
-                f"t[i] with i in {self.chain.breaks.tolist()}, got {breaks.tolist()}"
+                f"t[i] with i in {self.breaks.tolist()}, got {breaks.tolist()}"
             )
         _check_steps(calculus.mesh)
         return calculus
@@ -210,80 +215,65 @@ class ControlTranscription:
     def _solved(
         self,
         solver: Solver,
-        problem: ControlProblem,
-        mesh: np.ndarray,
+        problem: ControlProblem | Phases,
+        calculus: DiscreteCalculus,
         start: StartingPoint,
         verbose: int,
         began: float,
-    ) -> ControlTrajectory:
+    ) -> ControlTrajectory | PhasesTrajectory:
         """The verified solution of one solver from a starting point."""
-        chain = self.chain
-        bounds = self.bounds if problem is self.problem else bounds_of(problem, chain)
-        unknowns, data = chain.pack(start.values)
+        numbers, phases = self.numbering, phases_of(problem)
+        bounds = self.bounds if problem is self.problem else bounds_of(phases, self.joins, numbers)
+        unknowns, data = numbers.pack(start.values)
         program = self._kept_program(solver, bool(start.duals), verbose)
         optimum = optimize(program, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
         if optimum.status == INVALID:
-            refuse_not_finite(problem, self.graph, unknowns, data, mesh)
-        values = chain.unpack(optimum.unknowns, data)
-        path = chain.path(values, self._joints(values, mesh))
+            refuse_not_finite(phases, self.graph, unknowns, data)
+        values, meshes = numbers.unpack(optimum.unknowns, data), meshes_of(phases, calculus.mesh)
+        paths = [chain.path(*given) for chain, given in zip(numbers.chains, self._timed(values, meshes), strict=True)]
         if optimum.success:
-            values["controls"] = continuous_controls(problem, chain, path, values)
-            optimum.unknowns[chain.fields["controls"]] = values["controls"]
+            for phase, chain, path, found in zip(phases, numbers.chains, paths, values, strict=True):
+                found["controls"] = continuous_controls(phase, chain, path, found)
+                optimum.unknowns[chain.fields["controls"]] = found["controls"]
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        scales = equation_scales(problem, chain, bounds, report, start.sizes)
-        relative = violations(chain, bounds, optimum.unknowns, report.equations, scales)
+        scales = equation_scales(phases, numbers, bounds, report, start.sizes)
+        relative = violations(numbers, bounds, optimum.unknowns, report.equations, scales)
         violation = float(np.max(relative))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
-            raise explained(problem, SOLVER_NAMES[solver.name], chain, optimum, report.cost, relative, path)
-        multipliers = optimum.multipliers / chain.units(values["sizes"])
-        joints, mechanical = path.mesh, chain.mechanical
-        parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
-        breakpoints = tuple(joints[chain.breaks].tolist())
-        found = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
-        control = self._over_time(joints, chain.control_times, values["controls"], problem.control_bounds)
-        off = off_constraint(found, path)
-        if off is not None:
-            raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
-        reason = undefined(problem, path, control, parameters)
-        if reason is not None:
-            raise ConvergenceError(f"no path was found: {reason}", Path(path), math.inf, optimum.iterations)
-        others = np.zeros((chain.dimension - mechanical, len(joints)))
-        momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
-        rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T if len(others) else others.T
-        second_order = SecondOrder(problem, self.method, mesh, optimum, report.cost, self.graph)
-        return ControlTrajectory(
-            polynomial=path,
-            momentum=tangent_at_joints(found, path, momentum),
-            action=report.action,
+            raise explained(phases, SOLVER_NAMES[solver.name], numbers, optimum, report.cost, relative, paths)
+        second_order = SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, self.graph)
+        return answer(
+            problem,
+            phases,
+            OptimalPoint(numbers, self.joins, optimum, report, values, paths),
+            second_order,
             iterations=optimum.iterations,
             residual=violation / EPS,
+            violation=violation,
             solver=f"{SOLVER_NAMES[solver.name]} ({optimum.status})",
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
-            problem=found,
             find_index=second_order.negative,
-            find_sensitivity=second_order.sensitivity,
-            find_remaining_error=second_order.remaining_error,
             find_comparisons=partial(comparisons, solver),
-            cost=report.cost,
-            cost_size=report.cost_size,
-            control=control,
-            costate=chain.costate(multipliers, optimum.bound_multipliers, report.arriving, joints),
-            path_multipliers=self._path_multipliers(multipliers, joints),
-            duals=(multipliers, optimum.bound_multipliers),
-            hamiltonian=report.hamiltonian,
-            violation=violation,
-            start_velocity=np.append(values["start_velocity"], rates[0]),
-            end_velocity=np.append(values["end_velocity"], rates[1]),
-            arrival_velocity=values["velocity"],
         )
+
+    def _timed(
+        self, values: list[dict[str, np.ndarray]], meshes: list[np.ndarray]
+    ) -> Iterator[tuple[dict[str, np.ndarray], np.ndarray]]:
+        """The values of every phase with its joints; exactly those of the mesh where all times are given."""
+        begin = meshes[0][0]
+        free = any({"begin", "duration"} & set(chain.free) for chain in self.numbering.chains)
+        for found, mesh in zip(values, meshes, strict=True):
+            end = begin + found["duration"].item()
+            yield found, np.append(begin + found["duration"] * found["left"], end) if free else mesh
+            begin = end
 
     def starting_point(
         self,
-        problem: ControlProblem,
+        problem: ControlProblem | Phases,
         calculus: DiscreteCalculus,
-        guess: Guess | None,
+        guess: Any,
         longer: float = 1.0,
     ) -> StartingPoint:
         """The starting point of a solve from a guess, with free durations that are `longer` by this factor.
@@ -294,31 +284,43 @@ class ControlTranscription:
         line, as between ends that differ by rounding, its terms there are far too small and set no limit.  The momenta
         of the guess are minus the residuals of the equations of the joints with momenta of zero.
         """
-        chain, near = self.chain, near_answer(guess, self.chain, calculus)
-        values = first_values(problem, chain, calculus, guess, near, longer)
-        unrelated = guess is not None and near is None  # no earlier answer: it may be noisy
-        report = self.graph.report(*chain.pack(values))
-        if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
-            refuse_not_finite(problem, self.graph, *chain.pack(values), calculus.mesh)
-        largest = report.sizes.copy()
-        if unrelated:
-            straight = first_values(problem, chain, calculus, None, None)
-            line = self.graph.report(*chain.pack(straight)).sizes
-            line[chain.motions] = _significant(line[chain.motions], LEAST_TERMS)
-            largest = np.where(
-                (line > TOLERANCE) & np.isfinite(line), np.fmin(LARGEST_TERMS_RATIO * line, largest), largest
-            )
-        values["sizes"] = or_one(_significant(largest[chain.motions], TOLERANCE))
-        largest[chain.motions] /= values["sizes"]
-        momentum = -report.equations[chain.departures] if near is None else near.momentum[: chain.mechanical].T
-        values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]
-        duals = () if near is None else (near.duals[1], near.duals[0] * chain.units(values["sizes"]))
-        return StartingPoint(values, duals, largest)
+        numbers, phases = self.numbering, phases_of(problem)
+        calculi = [calculus]
+        if len(phases) > 1:
+            calculi = [DiscreteCalculus(self.method, mesh) for mesh in meshes_of(phases, calculus.mesh)]
+        near = near_answer(guess, numbers, calculi)
+
+        def values_at(some: Any, same: bool, factor: float) -> list[dict[str, np.ndarray]]:
+            times = times_at(calculus.mesh, numbers.chains[0].control_times)
+            guesses = guesses_of_phases(problem, calculi, some, times)
+            given = zip(phases, numbers.chains, calculi, guesses, strict=True)
+            return [first_values(*each, same, factor) for each in given]
+
+        values = values_at(guess, near, longer)
+        report = self.graph.report(*numbers.pack(values))
+        if not np.isfinite(report.cost + np.sum(report.actions) + np.sum(report.equations)):
+            refuse_not_finite(phases, self.graph, *numbers.pack(values))
+        largest, motions = report.sizes, [chain.motions for chain in numbers.chains]
+        if guess is not None and not near:  # no earlier answer: it may be noisy
+            straight = self.graph.report(*numbers.pack(values_at(None, False, 1.0))).sizes
+            line = straight.copy()
+            for kinds in motions:
+                line[kinds] = _significant(straight[kinds], LEAST_TERMS)
+            limited = (line > TOLERANCE) & np.isfinite(line)
+            largest = np.where(limited, np.fmin(LARGEST_TERMS_RATIO * line, largest), largest)
+        scaled = largest.copy()
+        for k, (chain, found) in enumerate(zip(numbers.chains, values, strict=True)):
+            found["sizes"] = or_one(_significant(largest[chain.motions], TOLERANCE))
+            scaled[chain.motions] = largest[chain.motions] / found["sizes"]
+            momentum = guess.phases[k].momentum[: chain.mechanical].T if near else -report.equations[chain.departures]
+            found["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / found["sizes"]
+        duals = (guess.duals[1], guess.duals[0] * numbers.units(values)) if near else ()
+        return StartingPoint(values, duals, scaled)
 
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """Build the solver for this program."""
         if solver.name == fatrop.name:
-            check_stages(self.problem, self.chain, self.bounds)
+            check_stages(self.phases, self.numbering, self.bounds)
             return with_fatrop(self.graph, verbose, solver.options)
         return with_ipopt(self.graph, warm, verbose, solver.options)
 
@@ -335,33 +337,15 @@ class ControlTranscription:
             self._solvers[key] = pool
         return pool
 
-    def _joints(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> np.ndarray:
-        """The joints with the durations found; exactly the mesh where the duration is given."""
-        if self.problem.duration_bounds is None:
-            return mesh
-        marks = np.append(values["begin"], values["begin"] + np.cumsum(values["durations"]))
-        phases = self.chain.phases
-        return np.append(marks[phases] + values["durations"][phases] * values["left"], marks[-1])
-
-    def _path_multipliers(self, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath | None:
-        """Multipliers of the path constraints as functions of time: those of the points over their steps of time."""
-        if not self.chain.path_constraints:
-            return None
-        times = np.multiply.outer(np.diff(joints), self.method.element.weights)
-        values = multipliers[self.chain.rows["path"]] / times[:, :, None]
-        return self._over_time(joints, self.method.element.points, values)
-
-    def _over_time(self, joints: np.ndarray, points: np.ndarray, values: np.ndarray, *bounds: ArrayLike) -> ControlPath:
-        """Values (N, points, n) as functions of time, within bounds where some are given."""
-        rule = self.method.element.points
-        return ControlPath(joints, points, np.concatenate(values).T, rule, *bounds)
-
     def __repr__(self) -> str:
         """Say what was built."""
-        size, controls = counted(self.problem.dimension, "component"), counted(self.problem.controls, "control")
+        what = "a control problem"
+        if isinstance(self.problem, Phases):
+            what = f"{counted(len(self.phases), 'phase')}, the first"
+        size, controls = counted(self.phases[0].dimension, "component"), counted(self.phases[0].controls, "control")
         return (
-            f"ControlTranscription of a control problem of {size} and {controls}, {self.method}, on "
-            f"{counted(len(self.mesh) - 1, 'interval')}: {counted(self.chain.unknowns, 'unknown')}, built in "
+            f"ControlTranscription of {what} of {size} and {controls}, {self.method}, on "
+            f"{counted(len(self.mesh) - 1, 'interval')}: {counted(self.numbering.unknowns, 'unknown')}, built in "
             f"{self.build_seconds:.4f} s"
         )
 
@@ -390,7 +374,7 @@ def check_solver(solver: object) -> None:
 
 
 def transcribed_control(
-    problem: ControlProblem,
+    problem: ControlProblem | Phases,
     method: Galerkin,
     intervals: int | None,
     mesh: ArrayLike | None,
@@ -400,11 +384,13 @@ def transcribed_control(
     return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)
 
 
-def comparisons(solver: Solver, path: ControlTrajectory) -> Comparisons:
+def comparisons(solver: Solver, path: Any) -> Comparisons:
     """A path compared with two of higher degree; errors as for `solve`, where one of these is not found."""
 
-    def solved(method: Galerkin, mesh: np.ndarray) -> ControlTrajectory:
+    def solved(method: Galerkin, mesh: np.ndarray) -> Any:
         transcription = transcribed_control(path.problem, method, None, mesh, one_by_one)
         return transcription.solve(guess=path, solver=from_near(solver, path))
 
-    return compared(path, solved).known
+    if isinstance(path, ControlTrajectory):
+        return compared(path, solved).known
+    return phases_compared(path, solved)

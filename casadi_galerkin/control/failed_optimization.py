@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.control_graph import ControlGraph
-from casadi_galerkin.control.control_numbering import Chain, located
+from casadi_galerkin.control.control_numbering import Numbering, Stages, located
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import at_places
@@ -58,19 +58,21 @@ SMOOTH = (
 
 
 def explained(
-    problem: ControlProblem,
+    phases: Sequence[ControlProblem],
     solver: str,
-    chain: Chain,
+    numbering: Numbering,
     optimum: Optimum,
     cost: float,
     relative: np.ndarray,
-    path: PiecewisePolynomial,
+    paths: Sequence[PiecewisePolynomial],
 ) -> ConvergenceError:
-    """Report how a solver ended; `relative` are the `violations` there, `path` is its last iterate."""
-    worst, rows = int(np.argmax(relative)), chain.equations
+    """Report how a solver ended; `relative` are the `violations` there, `paths` are its last iterates."""
+    worst, rows = int(np.argmax(relative)), numbering.equations
     equation = worst < rows
-    name, place = located(chain.equation_stages, worst) if equation else located(chain.unknown_stages, worst - rows)
-    when = np.interp(place, np.arange(len(path.mesh)), path.mesh)
+    stages = numbering.equation_stages if equation else numbering.unknown_stages
+    meshes = [path.mesh for path in paths]
+    name, when, k = _at_time(numbering, stages, worst if equation else worst - rows, meshes)
+    path, problem = paths[k], phases[k]
     what = name if equation else f"the bound of {name}"
     hint = HINTS.get(optimum.status, OTHER_HINT)
     if relative[worst] <= FEASIBLE:
@@ -89,6 +91,15 @@ def explained(
     return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)
 
 
+def _at_time(numbering: Numbering, stages: Stages, number: int, meshes: Sequence[np.ndarray]) -> tuple[str, float, int]:
+    """What messages call an entry, its time, and its phase."""
+    name, place = located(stages, number)
+    cuts, times = np.cumsum([len(mesh) for mesh in meshes]), np.concatenate(meshes)
+    k = int(np.searchsorted(cuts, place, side="right"))
+    when = float(np.interp(place, np.arange(len(times)), times))
+    return name + ("" if numbering.alike else f" of phase {k}"), when, k
+
+
 def kink_hint(problem: ControlProblem) -> str | None:
     """What to do about a cost whose derivative may jump, if it may."""
     if any(entries_within(problem.running_cost, argument, kinks) for argument, kinks in KINKS.items()):
@@ -100,33 +111,39 @@ def kink_hint(problem: ControlProblem) -> str | None:
 
 
 def refuse_not_finite(
-    problem: ControlProblem, graph: ControlGraph, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray
+    phases: Sequence[ControlProblem], graph: ControlGraph, unknowns: np.ndarray, data: np.ndarray
 ) -> None:
     """Name what is not finite at the guess: a callable along the path, or else an equation or a first derivative."""
-    chain, points = graph.chain, graph.embedding.points
-    seen = (graph.embedding.matrix @ np.concatenate((unknowns, data))).full().ravel()
-    at = {name: seen[points.row(name)].T for name in points.rows}
-    times, v = (at["begin"] + at["duration"] * at["fraction"]).ravel(), at["slope"] / (at["duration"] * at["part"])
-    p = [] if problem.parameters is None else [chain.unpack(unknowns, data)["parameters"]]
-    found = _undefined_at(problem, times, at["x"], v, at["controls"], p)
-    if found is not None:
-        name, k, _, failure = found
-        what = "is not finite" if failure is None else "calls a casadi Function that fails"
-        raise ValueError(f"{name} {what} at the guess, at t = {times[k]:.6g}. Give a guess that avoids it") from failure
+    numbering = graph.numbering
+    seen, values = (
+        (graph.embedding.matrix @ np.concatenate((unknowns, data))).full().ravel(),
+        numbering.unpack(unknowns, data),
+    )
+    for problem, of_phase, given in zip(phases, graph.embedding.phases, values, strict=True):
+        points = of_phase.points
+        at = {name: seen[points.row(name)].T for name in points.rows}
+        times, v = (at["begin"] + at["duration"] * at["fraction"]).ravel(), at["slope"] / (at["duration"] * at["part"])
+        p = [] if problem.parameters is None else [given["parameters"]]
+        found = _undefined_at(problem, times, at["x"], v, at["controls"], p)
+        if found is not None:
+            name, k, _, failure = found
+            what = "is not finite" if failure is None else "calls a casadi Function that fails"
+            words = f"{name} {what} at the guess, at t = {times[k]:.6g}. Give a guess that avoids it"
+            raise ValueError(words) from failure
+    meshes = [np.append(of["begin"] + of["duration"] * of["left"], of["begin"] + of["duration"]) for of in values]
     equations, matrix = graph.jacobian(unknowns, data)
     rows = np.array(matrix.sparsity().row())[~np.isfinite(np.array(matrix.nonzeros()))]
     for what, stages, wrong in (
-        ("{}", chain.equation_stages, np.flatnonzero(~np.isfinite(np.array(equations)))),
+        ("{}", numbering.equation_stages, np.flatnonzero(~np.isfinite(np.array(equations)))),
         (
             "the derivative of the cost by {}",
-            chain.unknown_stages,
+            numbering.unknown_stages,
             np.flatnonzero(~np.isfinite(np.array(graph.gradient(unknowns, data)[1]))),
         ),
-        ("a derivative of {}", chain.equation_stages, rows),
+        ("a derivative of {}", numbering.equation_stages, rows),
     ):
         if wrong.size:
-            name, place = located(stages, int(wrong[0]))
-            when = np.interp(place, np.arange(len(mesh)), mesh)
+            name, when, _ = _at_time(numbering, stages, int(wrong[0]), meshes)
             raise ValueError(f"{what.format(name)} is not finite at the guess, at t = {when:.6g}. {AVOID}")
 
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.control_numbering import Chain
+from casadi_galerkin.control.control_numbering import Chain, Numbering
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -23,62 +28,102 @@ def first_values(
     chain: Chain,
     calculus: DiscreteCalculus,
     guess: Guess | None,
-    near: ControlTrajectory | None,
+    near: bool,
     longer: float = 1.0,
 ) -> dict[str, np.ndarray]:
-    """Values of the fields at a guess, within the bounds and with the given values; for `near` see `near_answer`.
+    """Values of the fields of a phase at a guess, within the bounds and with the given values.
 
     Without a guess the path is the straight line between the ends.  Controls, and positions that no end fixes, are
     zero, or in the middle of their bounds unless zero lies inside of these: from zero on a bound, as of a thruster, a
     quadrotor took ten times as many iterations, or found nothing.  Where all components follow rates, controls are as
     near to zero as their bounds allow: from the middle, the infected of epidemics grew without bounds on coarse meshes.
-    Momenta and impulses are left out, and the units of momenta are one.  Free durations are `longer` times those of the
-    mesh, within their bounds, or those of an earlier solution.
+    Momenta and impulses are left out, and the units of momenta are one.  A free duration is `longer` times that of the
+    mesh, within its bounds, or that of an earlier solution.
+
+    Parameters
+    ----------
+    near : whether the guess is an earlier solution on the same fractions of the phase, see `near_answer`
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
-    everywhere, degree = np.array(section_times(problem)), chain.method.degree
-    of_phases = everywhere if "durations" in chain.free else everywhere[[0, -1]]
+    lasts, degree = mesh[-1] - mesh[0], chain.method.degree
     if isinstance(guess, ControlTrajectory):
-        path_guess, control_guess = _of_answer(guess, near, chain, calculus, everywhere)
-    path, before = _path(problem, calculus, path_guess), degree * chain.crossed
-    slopes, parameters = np.diff(path, axis=0) / np.diff(times)[:, None], np.array(problem.parameters or ())
-    arrived, arriving, at_ends = path[before], slopes[before - 1, :dm], slopes[[0, -1]]
-    durations = longer * np.diff(of_phases)
+        now = np.array(section_times(problem))
+        path_guess, control_guess = _of_answer(guess, near, chain, calculus, now)
+    path = _path(problem, calculus, path_guess)
+    slopes, parameters = np.diff(path[[0, 1, -2, -1]], axis=0)[::2], np.array(problem.parameters or ())
+    at_ends, begin, duration = slopes / np.diff(times[[0, 1, -2, -1]])[::2, None], mesh[0], longer * lasts
     if isinstance(guess, ControlTrajectory):
-        at_ends = np.array((guess.start_velocity, guess.end_velocity))
-        if len(before):
-            at = map_times(times[before], everywhere, section_times(guess.problem))
-            arrived = np.clip(arrived + (guess.before(at) - guess(at)).T, *problem.position_bounds)
-            arriving = guess.arrival_velocity if guess.arrival_velocity.shape == arriving.shape else arriving
-        durations = np.diff(map_times(of_phases, of_phases, section_times(guess.problem)))
+        at_ends, duration = np.array((guess.start_velocity, guess.end_velocity)), guess.t[-1] - guess.t[0]
+        begin = guess.t[0] if "begin" in chain.free else begin
         found = np.array(guess.parameters or ())
         if problem.parameter_bounds is not None and len(found) == chain.parameters:
             parameters = np.clip(found, *problem.parameter_bounds)
-    nodes = path[1:].reshape(n, degree, -1).copy()
-    nodes[chain.crossed - 1, -1] = arrived
     given = np.array([problem.start_velocity, problem.end_velocity], dtype=float)  # NaN for None
     velocities = np.where(np.isnan(given), at_ends, given)[:, :dm]
     bounds = problem.duration_bounds
-    lasting = np.diff(of_phases)[chain.phases]
     return {
         "x": path[::degree],
-        "nodes": nodes,
+        "nodes": path[1:].reshape(n, degree, -1),
         "controls": _controls(problem, chain, calculus, control_guess),
         "start_velocity": velocities[0],
         "end_velocity": velocities[1],
-        "velocity": arriving,
-        "durations": np.diff(of_phases) if bounds is None else np.clip(durations, *bounds),
+        "begin": begin,
+        "duration": lasts if bounds is None else np.clip(duration, *bounds),
         "parameters": parameters,
-        "begin": mesh[:1],
-        "left": (mesh[:-1] - of_phases[chain.phases]) / lasting,
-        "part": np.diff(mesh) / lasting,
+        "left": (mesh[:-1] - mesh[0]) / lasts,
+        "part": np.diff(mesh) / lasts,
         "sizes": np.ones(dm),
     }
 
 
+def guesses_of_phases(
+    problem: ControlProblem | Phases, calculi: Sequence[DiscreteCalculus], guess: Any, times: np.ndarray
+) -> list[Any]:
+    """A guess of every phase.
+
+    Several problems take a list with a guess for each, or one for all of them.  Without any, the path is a straight
+    line between all positions that are given at the ends of phases.  A guess of one problem is cut where it is parted.
+
+    Parameters
+    ----------
+    calculi : of the phases
+    guess : of the whole
+    times : (N points,), those of the controls of the whole
+    """
+    count = len(calculi)
+    if count == 1:
+        return [guess]
+    earlier = getattr(guess, "phases", ())
+    if len(earlier) == count:
+        return list(earlier)
+    if isinstance(problem, Phases):
+        if earlier or (isinstance(guess, list) and len(guess) != count):
+            raise ValueError(f"the guess must be a list of {count}, one for every phase, got {guess!r}")
+        return guess if isinstance(guess, list) else [guess] * count
+    mesh = np.append(np.concatenate([one.mesh[:-1] for one in calculi]), calculi[-1].mesh[-1])
+    whole = DiscreteCalculus(calculi[0].method, mesh)
+    path_guess, controls = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
+    if isinstance(guess, ControlTrajectory):
+        own, other = section_times(problem), section_times(guess.problem)
+        path_guess, controls = (
+            of(map_times(at, own, other)) for of, at in ((guess, whole.node_times), (guess.control, times))
+        )
+    path = _path(problem, whole, path_guess).T
+    nodes = np.cumsum([0, *((len(one.mesh) - 1) * one.method.degree for one in calculi)])
+    paths = [path[:, first : last + 1] for first, last in pairwise(nodes.tolist())]
+    if controls is not None and not callable(controls):
+        controls = real_array("the guess of the controls", controls)
+        shape = problem.controls, len(times)
+        if controls.shape == shape:  # else it is refused where it is cut
+            cuts = (len(times) * nodes[1:-1]) // nodes[-1]
+            return list(zip(paths, np.split(controls, cuts, axis=1), strict=True))
+        _refuse_shape(problem, controls.shape, shape)
+    return [(one, controls) for one in paths]
+
+
 def _of_answer(
-    answer: ControlTrajectory, near: ControlTrajectory | None, chain: Chain, calculus: DiscreteCalculus, now: np.ndarray
+    answer: ControlTrajectory, near: bool, chain: Chain, calculus: DiscreteCalculus, now: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Node values and controls of an earlier solution, at the same fractions of the phases between the times `now`."""
     if len(answer.x) != chain.dimension:
@@ -86,24 +131,27 @@ def _of_answer(
     controls = len(answer.control.values)
     if controls != chain.controls:
         raise ValueError(f"the guess must have {counted(chain.controls, 'control')}, got {controls}")
-    if near is not None:
-        return near.polynomial.values, near.control.values
+    if near:
+        return answer.polynomial.values, answer.control.values
     times = calculus.node_times, times_at(calculus.mesh, chain.control_times)
     nodes, points = (map_times(t, now, section_times(answer.problem)) for t in times)
     return answer(nodes), answer.control(points)
 
 
-def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -> ControlTrajectory | None:
-    """The guess, if it is a solution with the same unknowns, equations and fractions of the mesh, for a warm start."""
-    if not (isinstance(guess, ControlTrajectory) and guess.method == calculus.method):
-        return None
-    shapes = [guess.polynomial.values.shape, guess.duals[0].shape, guess.duals[1].shape]
-    if shapes != [(chain.dimension, len(calculus.node_times)), (chain.equations,), (chain.unknowns,)]:
-        return None
+def near_answer(guess: Any, numbering: Numbering, calculi: Sequence[DiscreteCalculus]) -> bool:
+    """Whether the guess is a solution with the same unknowns, equations and fractions of the mesh, for a warm start."""
+    phases = getattr(guess, "phases", ())
+    if len(phases) != len(calculi) or [a.shape for a in guess.duals] != [(numbering.equations,), (numbering.unknowns,)]:
+        return False
+    return all(map(_same_fractions, phases, numbering.chains, calculi))
+
+
+def _same_fractions(guess: ControlTrajectory, chain: Chain, calculus: DiscreteCalculus) -> bool:
+    if guess.method != calculus.method or guess.polynomial.values.shape != (chain.dimension, len(calculus.node_times)):
+        return False
     now = calculus.mesh[[0, *chain.breaks, -1]].tolist()
     joints = map_times(guess.t, section_times(guess.problem), now)
-    same = SAME_FRACTION * (calculus.mesh[-1] - calculus.mesh[0])
-    return guess if np.max(np.abs(joints - calculus.mesh)) <= same else None
+    return bool(np.max(np.abs(joints - calculus.mesh)) <= SAME_FRACTION * (calculus.mesh[-1] - calculus.mesh[0]))
 
 
 def _zero_or_middle(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
@@ -141,7 +189,11 @@ def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus,
     else:
         values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
     if values.shape != shape:
-        where = "in the intervals" if problem.hold else "at the quadrature points"
-        raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")
+        _refuse_shape(problem, values.shape, shape)
     check_finite_values(name, values, times)
     return np.clip(values.T, *problem.control_bounds).reshape(chain.fields["controls"].shape)
+
+
+def _refuse_shape(problem: ControlProblem, got: tuple[int, ...], expected: tuple[int, int]) -> None:
+    where = "in the intervals" if problem.hold else "at the quadrature points"
+    raise ValueError(f"the guess of the controls must have the shape {expected} for values {where}, got {got}")

@@ -89,15 +89,16 @@ def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str
 
 def with_fatrop(graph: ControlGraph, verbose: int, given: Mapping[str, Any]) -> ca.Function:
     """Build fatrop for a program, stage by stage; arguments as for `with_ipopt`.  It does not start warm."""
-    states, others, equations = (list(column) for column in zip(*graph.chain.stages, strict=True))
-    structure = {"N": graph.chain.intervals, "nx": states, "nu": others, "ng": equations}
+    (chain,) = graph.numbering.chains
+    states, others, equations = (list(column) for column in zip(*chain.stages, strict=True))
+    structure = {"N": chain.intervals, "nx": states, "nu": others, "ng": equations}
     options = {"tol": ACCEPTABLE, "linsol_lu_fact_tol": PIVOT, **given}
     # it takes no options for derivatives, but finds them in its cache
     unknowns, data = graph.unknowns, graph.data
     gradient = ca.Function("nlp_grad_f", [unknowns, data], [graph.gradient(unknowns, data)[1]])
     derivatives = {"nlp_grad_f": gradient, "nlp_jac_g": graph.jacobian, "nlp_hess_l": graph.whole_hessian}
-    chain = {"cache": derivatives, "structure_detection": "manual", **structure}
-    return _built(graph, "fatrop", verbose, chain, options)
+    staged = {"cache": derivatives, "structure_detection": "manual", **structure}
+    return _built(graph, "fatrop", verbose, staged, options)
 
 
 def _built(

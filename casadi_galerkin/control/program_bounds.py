@@ -6,6 +6,7 @@ rounding `EPS` is never a violation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +15,10 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
 from casadi_galerkin.control.control_graph import Report
-from casadi_galerkin.control.control_numbering import Chain
+from casadi_galerkin.control.control_numbering import Chain, Numbering
 from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
-from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.phases import Joins
 from casadi_galerkin.problems.problem import ENDS
 
 VANISHED = 1e3 * EPS  # terms over those along the guess below which they are rounding
@@ -45,41 +46,52 @@ def _narrowed(sides: np.ndarray, relaxed: float) -> np.ndarray:
     return np.stack((least, most))
 
 
-def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
+def bounds_of(
+    phases: Sequence[ControlProblem], joins: Joins, numbering: Numbering, implied: bool = False
+) -> ProgramBounds:
     """Bounds of the unknowns and of the equations; for given values both bounds are equal.
 
-    Durations and parameters are bounded at the last joint only, because they are equal at all joints.  Equations of a
-    constraint that given ends satisfy anyway are not imposed, unless `implied` is set.
+    Free constants are bounded at the last joint only, because they are equal at all joints.  Equations of a constraint
+    that are satisfied anyway, by given ends or by the phase before, are not imposed, unless `implied` is set.
     """
-    fields, arriving = chain.fields, chain.fields["nodes"][chain.crossed - 1, -1]
-    sides = np.full((2, chain.size), [[-np.inf], [np.inf]])
-    for index in (fields["x"], fields["nodes"][:, :-1], arriving):
+    sides, equations = np.full((2, numbering.size), [[-np.inf], [np.inf]]), np.zeros((2, numbering.equations))
+    for k, (problem, chain) in enumerate(zip(phases, numbering.chains, strict=True)):
+        _bound_phase(sides, equations, problem, chain)
+        if k == 0 and "begin" in chain.free:
+            sides[:, chain.fields["begin"][-1]] = problem.t_span[0]
+        for i, (rows, satisfied) in enumerate(_constraint_at_ends(problem, chain)):
+            goes_on = k > 0 and i < 2 and phases[k - 1].constraint is not None
+            free = np.where((satisfied | goes_on) & (not implied), np.inf, 0.0)
+            _limit(equations, rows, (-free, free))
+    _limit(equations, slice(numbering.equations - sum(joins.counts), None), joins.conditions[1:])
+    return ProgramBounds(sides[:, : numbering.unknowns], equations)
+
+
+def _bound_phase(sides: np.ndarray, equations: np.ndarray, problem: ControlProblem, chain: Chain) -> None:
+    """Set the bounds of one phase in those of the program."""
+    fields, joints = chain.fields, dict(zip(problem.breakpoints, chain.breaks.tolist(), strict=True))
+    for index in (fields["x"], fields["nodes"][:, :-1]):
         _limit(sides, index, problem.position_bounds)
     _limit(sides, fields["controls"], problem.control_bounds)
-    for name, bounds in (("durations", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
+    for name, bounds in (("duration", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
         if bounds is not None:
             _limit(sides, fields[name][-1], bounds)
     for t, place in problem.waypoints:
-        if not is_limited(place):
-            joint = chain.breaks[problem.breakpoints.index(t)]
-            index = fields["nodes"][joint - 1, -1] if joint in chain.crossed else fields["x"][joint]
-            low, high = np.transpose(place)
-            _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
-    equations = np.zeros((2, chain.equations))
-    conditions = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(problem.crossings)]
-    for name, limited in (("path", problem.path_constraint), ("ends", chain.end_conditions), *conditions):
-        if limited is not None:
-            _limit(equations, chain.rows[name], limited[1:])
+        index = fields["x"][joints.get(t, -1)]
+        low, high = np.transpose(place)
+        _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
+    for name, limited in (("path", problem.path_constraint), ("ends", chain.end_conditions)):
+        _limit(equations, chain.rows[name], limited[1:])
     for index, values in given_at_ends(problem, chain).values():
         sides[:, index] = values
-    for rows, satisfied in _constraint_at_ends(problem, chain):
-        free = np.where(satisfied & (not implied), np.inf, 0.0)
-        _limit(equations, rows, (-free, free))
-    return ProgramBounds(sides[:, : chain.unknowns], equations)
 
 
 def equation_scales(
-    problem: ControlProblem, chain: Chain, bounds: ProgramBounds, report: Report, before: np.ndarray
+    phases: Sequence[ControlProblem],
+    numbering: Numbering,
+    bounds: ProgramBounds,
+    report: Report,
+    before: np.ndarray,
 ) -> np.ndarray:
     """Sizes of the terms of the equations, to which their residuals are relative; (equations,).
 
@@ -88,22 +100,24 @@ def equation_scales(
     terms are only rounding of those along the guess (`before`, by kind), it is the latter.  All are at least a rounding
     of a rounding, for a rate a rounding of its given positions.
     """
-    given = np.nan_to_num(np.vstack((problem.given_positions, np.array(problem.position_bounds))), posinf=0, neginf=0)
-    least, stated = np.full(len(before), LEAST_SIZE), largest_of(_finite_sizes(bounds.equations), chain.kinds)
-    least[chain.rated] = np.minimum(or_one(np.max(np.abs(given), axis=0)[problem.mechanical :]), 1.0)
+    least, stated = np.full(len(before), LEAST_SIZE), largest_of(_finite_sizes(bounds.equations), numbering.kinds)
+    for problem, chain in zip(phases, numbering.chains, strict=True):
+        given = np.vstack((problem.given_positions, np.array(problem.position_bounds)))
+        largest = np.max(np.abs(np.nan_to_num(given, posinf=0, neginf=0)), axis=0)[problem.mechanical :]
+        least[chain.rated] = np.fmax(least[chain.rated], np.minimum(or_one(largest), 1.0))
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
-    return or_one(np.fmax(np.fmax(sizes, stated), LEAST_SIZE * least))[chain.kinds]
+    return or_one(np.fmax(np.fmax(sizes, stated), LEAST_SIZE * least))[numbering.kinds]
 
 
 def violations(
-    chain: Chain, bounds: ProgramBounds, unknowns: np.ndarray, equations: np.ndarray, scales: np.ndarray
+    numbering: Numbering, bounds: ProgramBounds, unknowns: np.ndarray, equations: np.ndarray, scales: np.ndarray
 ) -> np.ndarray:
     """Violation of every equation, relative to its scale, then of every unknown's bounds, relative to its kind's size.
 
     A value outside its bounds is not compared with itself: where an equation and a bound leave a single value, IPOPT
     moves the bound by rounding, and a value that should be zero is then as large as this shift.
     """
-    kinds, stated = chain.unknown_kinds, or_one(_finite_sizes(bounds.unknowns))
+    kinds, stated = numbering.unknown_kinds, or_one(_finite_sizes(bounds.unknowns))
     sizes = np.maximum(largest_of(np.abs(unknowns), kinds), LEAST_SIZE * largest_of(stated, kinds))[kinds]
     return np.concatenate((_excess(equations, *bounds.equations) / scales, _excess(unknowns, *bounds.unknowns) / sizes))
 
@@ -129,7 +143,7 @@ def given_at_ends(problem: ControlProblem, chain: Chain) -> dict[str, tuple[np.n
     return given
 
 
-def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
+def _limit(sides: np.ndarray, index: np.ndarray | slice, bounds: ArrayLike) -> None:
     """Set lower and upper bounds, (2, count), of the entries (..., count) of two long vectors."""
     for side, bound in zip(sides, np.asarray(bounds), strict=True):
         side[index] = bound
@@ -144,14 +158,15 @@ def _constraint_at_ends(problem: ControlProblem, chain: Chain) -> list[tuple[np.
     return ends
 
 
-def check_count(chain: Chain, bounds: ProgramBounds) -> None:
+def check_count(numbering: Numbering, bounds: ProgramBounds) -> None:
     """Refuse more equations than unknowns, as on a very coarse mesh; equations of the next states are not counted."""
-    passed = sum(states for states, *_ in chain.stages[1:]) + chain.mechanical
+    chains = numbering.chains
+    passed = sum(sum(states for states, *_ in chain.stages[1:]) + chain.mechanical for chain in chains)
     equations = int(np.count_nonzero(np.equal(*bounds.equations))) - passed
     unknowns = int(np.count_nonzero(np.less(*bounds.unknowns))) - passed
     if equations > unknowns:
-        fixed = np.equal(*bounds.unknowns[:, chain.fields["controls"]]).all()
-        tied = int(np.count_nonzero(np.equal(*bounds.equations[:, chain.rows["path"]])))
+        fixed = all(np.equal(*bounds.unknowns[:, chain.fields["controls"]]).all() for chain in chains)
+        tied = sum(int(np.count_nonzero(np.equal(*bounds.equations[:, chain.rows["path"]]))) for chain in chains)
         advice = "take more intervals, a higher degree or more controls, or free a component"
         if tied:
             advice = (
@@ -165,12 +180,15 @@ def check_count(chain: Chain, bounds: ProgramBounds) -> None:
             )
         raise ValueError(
             f"{counted(equations, 'equation')} for {counted(unknowns, 'unknown')} on "
-            f"{counted(chain.intervals, 'interval')} of degree {chain.method.degree}: {advice}"
+            f"{counted(sum(c.intervals for c in chains), 'interval')} of degree {chains[0].method.degree}: {advice}"
         )
 
 
-def check_stages(problem: ControlProblem, chain: Chain, bounds: ProgramBounds) -> None:
+def check_stages(phases: Sequence[ControlProblem], numbering: Numbering, bounds: ProgramBounds) -> None:
     """Refuse problems that fatrop cannot divide into stages, or refuses itself when it runs."""
+    if len(phases) > 1:
+        raise ValueError("fatrop takes no phases, such as jumps and breakpoints with free times make: take cg.ipopt")
+    (problem,), (chain,) = phases, numbering.chains
     if any(problem.end_conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
         raise ValueError(
             "fatrop takes end_conditions on the end alone, stage by stage: give what is known of the start as "

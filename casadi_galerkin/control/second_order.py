@@ -24,16 +24,17 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
-from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph
-from casadi_galerkin.control.control_numbering import Chain
+from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph, graph_of
+from casadi_galerkin.control.control_numbering import Numbering
 from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
 from casadi_galerkin.control.sensitivity import ControlSensitivity, sensitivity_of
-from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
+from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory, RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
@@ -55,7 +56,7 @@ class SecondOrder:
     graph : ControlGraph, or None before it is built again
     """
 
-    problem: ControlProblem
+    problem: ControlProblem | Phases
     method: Galerkin
     mesh: np.ndarray
     optimum: Optimum
@@ -63,26 +64,38 @@ class SecondOrder:
     graph: ControlGraph | None
 
     def _graph(self) -> ControlGraph:
-        return self.graph or ControlGraph(self.problem, Chain(self.problem, self.method, self.mesh), one_by_one)
+        return self.graph or graph_of(self.problem, self.method, self.mesh)
 
-    def remaining_error(self) -> RemainingError:
-        """Errors of path, durations and cost that the solver has left.
+    def remaining_error(self, phase: int | None = None) -> RemainingError:
+        """Errors of path, durations and cost that the solver has left, in one phase or the largest of alike ones."""
+        chosen = self._remaining_errors if phase is None else [self._remaining_errors[phase]]
+        components = np.max([error.components for error in chosen], axis=0)
+        return RemainingError(components, max(error.durations for error in chosen), chosen[0].cost)
+
+    @cached_property
+    def _remaining_errors(self) -> list[RemainingError]:
+        """The same for every phase.
 
         They are at least the effect of rounding, and infinite where the Newton step is not finite.
         """
         graph, at = self._graph(), self.optimum
-        chain, kinds = graph.chain, graph.chain.unknown_kinds
+        kinds = graph.numbering.unknown_kinds
         steps = _newton_step(graph, at)
         change = STEPS_LEFT * abs(float(ca.dot(graph.gradient(at.unknowns, at.data)[1], steps[0])))
         sizes = largest_of(np.abs(at.unknowns), kinds)
         first, rounding = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps)
         errors = np.fmax(STEPS_LEFT * first, rounding)
-        durations = kinds[chain.fields["durations"][-1]] if "durations" in chain.free else kinds[:0]
-        of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))
-        return RemainingError(errors[: chain.dimension], of_durations, change if np.isfinite(change) else np.inf)
+        found = list[RemainingError]()
+        for chain in graph.numbering.chains:
+            lasts = kinds[chain.fields["duration"][-1]] if "duration" in chain.free else kinds[:0]
+            of_duration = float(np.max(errors[lasts] / sizes[lasts], initial=0.0))
+            components = errors[kinds[chain.fields["x"][0]]]
+            found.append(RemainingError(components, of_duration, change if np.isfinite(change) else np.inf))
+        return found
 
     def sensitivity(self, path: ControlTrajectory) -> ControlSensitivity:
         """Derivatives of the path by the data of its problem."""
+        assert isinstance(self.problem, ControlProblem), "a path of Phases has none"
         return sensitivity_of(self.problem, self._graph(), self.optimum, path)
 
     def negative(self) -> int:
@@ -91,9 +104,9 @@ class SecondOrder:
         A relative decrease of at most `NO_DECREASE`, for changes as large as the path, is not counted.
         """
         graph, at = self._graph(), self.optimum
-        chain = graph.chain
+        numbers = graph.numbering
         values, gradients = graph.jacobian(at.unknowns, at.data)
-        sizes, rows = _sizes(chain, at.unknowns), np.array(values).ravel()
+        sizes, rows = _sizes(numbers, at.unknowns), np.array(values).ravel()
         slope = np.abs(np.array(graph.gradient(at.unknowns, at.data)[1]).ravel())
         terms = np.array(ca.mtimes(ca.fabs(gradients), sizes)).ravel()
         costs = slope @ sizes > ACCEPTABLE * (np.abs(at.multipliers) @ terms)
@@ -101,7 +114,7 @@ class SecondOrder:
         hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, multipliers)[1]
         free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, sizes)).tolist()
         held = np.flatnonzero(_active(rows, at.bounds.equations, np.abs(rows))).tolist()
-        units, flat = (ca.diag(ca.DM(a)) for a in (_units(chain, at, sizes), np.where(sizes > 0, NO_DECREASE, 0.0)))
+        units, flat = (ca.diag(ca.DM(a)) for a in (_units(numbers, at, sizes), np.where(sizes > 0, NO_DECREASE, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
         if largest == 0:
@@ -116,7 +129,7 @@ class SecondOrder:
             curved += ca.mtimes(units, ca.mtimes(stiff, units))
         measured = abs(self.cost) > LEAST_COST * largest  # else its terms cancel, or it is zero
         relative = curved / (abs(self.cost) if measured else largest) + flat
-        change = _slopes(chain, self.mesh)[free, free]
+        change = _slopes(numbers, at)[free, free]
         hessian = ca.mtimes(change.T, ca.mtimes(relative[free, free], change))
         gradients = ca.mtimes(ca.mtimes(gradients, units)[held, free], change)
         lengths = ca.sqrt(ca.sum2(gradients**2))
@@ -135,13 +148,13 @@ def _newton_step(graph: ControlGraph, at: Optimum) -> np.ndarray:
     added for states, which follow from the others: there it would outweigh the curvature of a cost that hardly depends
     on the path.
     """
-    chain, report = graph.chain, graph.report(at.unknowns, at.data, at.multipliers)
-    (low, high), kinds, alike = at.bounds.equations, chain.kinds, chain.unknown_kinds
+    numbers, report = graph.numbering, graph.report(at.unknowns, at.data, at.multipliers)
+    (low, high), kinds, alike = at.bounds.equations, numbers.kinds, numbers.unknown_kinds
     to_bounds = _distances(at.unknowns, at.bound_multipliers, at.bounds.unknowns)
     to_limits = _distances(report.equations, at.multipliers, at.bounds.equations)
     free = np.less(*at.bounds.unknowns) & (to_bounds > 0)
     entries, rows = (np.flatnonzero(chosen).tolist() for chosen in (free, np.isfinite(to_limits)))
-    states = np.concatenate([chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
+    states = numbers.entries("x", "nodes", "momentum")
     added = EPS * np.append(np.where(np.isin(entries, states), 0.0, 1.0), -np.ones(len(rows)))
     hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, at.multipliers)[1][entries, entries]
     across = graph.jacobian(at.unknowns, at.data)[1][rows, entries]
@@ -184,40 +197,45 @@ def _stiffness(multipliers: np.ndarray, distances: np.ndarray) -> np.ndarray:
     return np.divide(np.abs(multipliers), distances, out=np.zeros_like(distances), where=distances > 0)
 
 
-def _sizes(chain: Chain, unknowns: np.ndarray) -> np.ndarray:
+def _sizes(numbers: Numbering, unknowns: np.ndarray) -> np.ndarray:
     """Largest size of positions, of controls and of each free constant, for their entries; zero for other unknowns."""
-    sizes = np.zeros(chain.unknowns)
-    for names in (["x", "nodes"], ["controls"], *([name] for name in chain.free)):
-        entries = np.concatenate([chain.fields[name].ravel() for name in names])
+    sizes = np.zeros(numbers.unknowns)
+    for names in (["x", "nodes"], ["controls"], ["begin"], ["duration"], ["parameters"]):
+        entries = numbers.entries(*names)
         sizes[entries] = np.max(np.abs(unknowns[entries]), initial=0.0)
     return sizes
 
 
-def _units(chain: Chain, at: Optimum, sizes: np.ndarray) -> np.ndarray:
+def _units(numbers: Numbering, at: Optimum, sizes: np.ndarray) -> np.ndarray:
     """Units of the unknowns: their sizes, those of the largest component for momenta and velocities; one for a zero.
 
     A component that is zero all along the path has no size, but its momentum is compared with those of others.
     """
-    units, fields = sizes.copy(), chain.fields
-    velocities = np.concatenate([fields[name].ravel() for name in ("start_velocity", "end_velocity", "velocity")])
+    units, velocities, momenta = sizes.copy(), numbers.entries("start_velocity", "end_velocity"), list[np.ndarray]()
     units[velocities] = np.max(np.abs(at.unknowns[velocities]), initial=0.0)
-    if chain.mechanical:
-        measures = np.append(at.unknowns, at.data)[fields["sizes"]]  # in which momenta are stored
-        units[fields["momentum"]] = np.max(np.abs(at.unknowns[fields["momentum"]] * measures)) / measures
+    for chain, values in zip(numbers.chains, numbers.unpack(at.unknowns, at.data), strict=True):
+        momenta.append((values["momentum"] * values["sizes"]).ravel())
+        units[chain.fields["momentum"]] = 1 / values["sizes"]  # in which momenta are stored
+    units[numbers.entries("momentum")] *= np.max(np.abs(np.concatenate(momenta)), initial=0.0)
     return or_one(units)
 
 
-def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
+def _slopes(numbers: Numbering, at: Optimum) -> ca.DM:
     """The matrix from slopes on the intervals, instead of node values, to the unknowns; all others stay the same.
 
     On an interval that is a part ε of the duration, the equations compare node values that differ by the order of ε,
     and AᵀA would contain them only with a factor ε².
     """
-    nodes, units = chain.fields["nodes"], np.ones(chain.unknowns)
-    units[nodes] = (np.diff(mesh) / np.ptp(mesh))[:, None, None]
-    states = np.broadcast_to(chain.fields["x"][:-1, None], nodes.shape)
-    where = nodes.ravel().tolist(), states.ravel().tolist()
-    return ca.diag(ca.DM(units)) + ca.DM.triplet(*where, ca.DM.ones(nodes.size), *[chain.unknowns] * 2)
+    units, phases = np.ones(numbers.unknowns), numbers.unpack(at.unknowns, at.data)
+    whole, where = sum(values["duration"].item() for values in phases), list[np.ndarray]()
+    for chain, values in zip(numbers.chains, phases, strict=True):
+        nodes = chain.fields["nodes"]
+        units[nodes] = (values["part"] * values["duration"] / whole)[:, None, None]
+        states = np.broadcast_to(chain.fields["x"][:-1, None], nodes.shape)
+        where.append(np.stack((nodes.ravel(), states.ravel())))
+    rows, columns = np.hstack(where)
+    ones = ca.DM.ones(len(rows))
+    return ca.diag(ca.DM(units)) + ca.DM.triplet(rows.tolist(), columns.tolist(), ones, *[numbers.unknowns] * 2)
 
 
 def _active(values: np.ndarray, bounds: np.ndarray, sizes: np.ndarray) -> np.ndarray:

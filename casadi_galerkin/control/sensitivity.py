@@ -23,11 +23,12 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
 from casadi_galerkin.control.control_graph import ControlGraph
-from casadi_galerkin.control.control_numbering import Chain
+from casadi_galerkin.control.control_numbering import Numbering
 from casadi_galerkin.control.optimizer import TOLERANCE, Optimum
 from casadi_galerkin.control.program_bounds import bounds_of
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
+from casadi_galerkin.problems.phases import joined_sections, sections
 from casadi_galerkin.problems.problem import with_values
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solvers.linear_solver import factors_of
@@ -157,7 +158,7 @@ class OptimalityConditions:
 
 def units_of(graph: ControlGraph, unknowns: np.ndarray, scales: np.ndarray, cost: float) -> Units:
     """Units of `acting` at an optimum, from scales of the equations and the size of the cost."""
-    kinds, cost = graph.chain.unknown_kinds, cost or 1.0
+    kinds, cost = graph.numbering.unknown_kinds, cost or 1.0
     sizes = or_one(largest_of(np.abs(unknowns), kinds))[kinds]
     return np.stack((sizes, cost / sizes)), np.stack((or_one(scales), cost / or_one(scales)))
 
@@ -169,10 +170,10 @@ def sensitivity_of(
     if path.morse_index:
         directions = counted(path.morse_index, "direction")
         raise ValueError(f"sensitivity takes minima, got a saddle, from which the cost decreases in {directions}")
-    chain, fields = graph.chain, graph.chain.fields
+    numbers = graph.numbering
     report = graph.report(at.unknowns, at.data, at.multipliers)
-    conditions = OptimalityConditions(graph, units_of(graph, at.unknowns, report.sizes[chain.kinds], path.cost_size))
-    shapes, seeds = _seeds(problem, chain, at)
+    conditions = OptimalityConditions(graph, units_of(graph, at.unknowns, report.sizes[numbers.kinds], path.cost_size))
+    shapes, seeds = _seeds(problem, numbers, at)
     point = [at.unknowns, at.multipliers, at.bound_multipliers]
     given = [at.data, *at.bounds.unknowns, *at.bounds.equations]
     matrix, weak = conditions.step(*point, *given)
@@ -184,28 +185,30 @@ def sensitivity_of(
     value, count = conditions.value, seeds[0].shape[1]
     still = [ca.DM(len(a), count) for a in point]
     missed, cost = value.forward(count)(*point, *given, *value(*point, *given), *still, *map(ca.DM, seeds))
-    rows = np.concatenate((_solved(matrix, -missed.full())[: chain.unknowns], seeds[0], cost.full()))
+    rows = np.concatenate((_solved(matrix, -missed.full())[: numbers.unknowns], seeds[0], cost.full()))
 
     def of(entries: np.ndarray) -> dict[str, np.ndarray]:
         """Derivatives of some entries of ξ, the data and the cost, by the name of what they are derivatives by."""
         parts = np.split(rows[entries], np.cumsum([np.prod(shape, dtype=int) for shape in shapes.values()]), axis=-1)
         return {name: a.reshape(*entries.shape, *shapes[name]) for name, a in zip(shapes, parts, strict=False)}
 
-    control = fields["controls"].reshape(-1, chain.controls).T
-    entries = fields["x"].T, control, fields["durations"][-1], fields["parameters"][-1], np.array(len(rows) - 1)
+    found, parameters = numbers.whole(), numbers.chains[-1].fields["parameters"][-1]
+    entries = found["x"].T, found["controls"].T, found["durations"], parameters, np.array(len(rows) - 1)
     return ControlSensitivity(path.t, *map(of, entries))
 
 
-def _seeds(problem: ControlProblem, chain: Chain, at: Optimum) -> tuple[dict[str, tuple[int, ...]], list[np.ndarray]]:
+def _seeds(
+    problem: ControlProblem, numbers: Numbering, at: Optimum
+) -> tuple[dict[str, tuple[int, ...]], list[np.ndarray]]:
     """Shapes of all data by name, and how p and the four arrays of bounds change with each; one column for a datum.
 
     Bounds are linear in the data, so that their differences are exact but for rounding.
     """
     shapes, columns = dict[str, tuple[int, ...]](), list[list[np.ndarray]]()
-    before = _sides(problem, chain)
+    before = _sides(problem, numbers)
     for name in (*GIVEN, *SIDES, *LIMITS):
         stated = getattr(problem, name)
-        if stated is None or (name == "parameters" and name in chain.free):
+        if stated is None or (name == "parameters" and name in numbers.chains[0].free):
             continue
         values = np.array(stated[1:] if name in LIMITS else stated, dtype=float)  # NaN for None
         chosen = np.argwhere(~np.isnan(values))
@@ -216,18 +219,19 @@ def _seeds(problem: ControlProblem, chain: Chain, at: Optimum) -> tuple[dict[str
             moved, by = values.copy(), np.zeros(len(at.data))
             moved[index] += 1.0
             if name == "parameters":
-                by[chain.fields[name][0][index] - chain.unknowns] = 1.0
+                by[[chain.fields[name][0][index] - numbers.unknowns for chain in numbers.chains]] = 1.0
                 sides = before
             else:
                 changed = (stated[0], *moved) if name in LIMITS else moved
-                sides = _sides(with_values(problem, **{name: changed}), chain)
+                sides = _sides(with_values(problem, **{name: changed}), numbers)
             with np.errstate(invalid="ignore"):  # of infinite bounds
                 columns.append([by, *(np.nan_to_num(b - a) for a, b in zip(before, sides, strict=True))])
     return shapes, [np.column_stack(a) for a in zip(*columns, strict=True)]
 
 
-def _sides(problem: ControlProblem, chain: Chain) -> tuple[np.ndarray, ...]:
-    bounds = bounds_of(problem, chain)
+def _sides(problem: ControlProblem, numbers: Numbering) -> tuple[np.ndarray, ...]:
+    phases = sections(problem)
+    bounds = bounds_of(phases, joined_sections(problem, phases), numbers)
     return *bounds.unknowns, *bounds.equations
 
 

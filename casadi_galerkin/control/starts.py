@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +16,6 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.numbers import counted, whole_number
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.optimizer import TOLERANCE
-from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, waves
@@ -64,9 +64,7 @@ def first_found(attempts: Iterable[tuple[str, Callable[[], ControlTrajectory]]])
     raise ConvergenceError(f"{first}{words}", first.path, first.residual, iterations)
 
 
-def best_of(
-    starts: int, problem: ControlProblem, guess: Guess | None, solve: Callable[..., ControlTrajectory]
-) -> ControlTrajectory:
+def best_of(starts: int, problem: Any, guess: Guess | None, solve: Callable[..., Any]) -> Any:
     """The optimum of least cost, with the iterations and seconds of all optima; arguments and errors as `optima_of`."""
     optima, summary = optima_of(starts, problem, guess, solve)
     return replace(
@@ -77,9 +75,7 @@ def best_of(
     )
 
 
-def optima_of(
-    starts: int, problem: ControlProblem, guess: Guess | None, solve: Callable[..., ControlTrajectory]
-) -> tuple[list[ControlTrajectory], str]:
+def optima_of(starts: int, problem: Any, guess: Guess | None, solve: Callable[..., Any]) -> tuple[list[Any], str]:
     """Optima from a guess and from random paths in the order of their costs, and a summary of the starts.
 
     A random path is a sum of waves that is bent to meet the ends.  Its size is about that of the given ends, or one

@@ -30,6 +30,7 @@ from casadi_galerkin.control.optimizer import ACCEPTABLE
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
+from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt
 
 DEGREES_ADDED = 2  # degrees added; one adds nothing to a path of the other parity
@@ -172,6 +173,17 @@ def compared(path: ControlTrajectory, solve: Callable[[Galerkin, np.ndarray], Co
     other = path.t if path.problem.hold else interlaced(path.t, path.problem.breakpoints)
     method = raised(path.method)
     return TwoComparisons(path, solve(method, path.t), solve(method, other))
+
+
+def phases_compared(path: PhasesTrajectory, solve: Callable[[Galerkin, np.ndarray], PhasesTrajectory]) -> Comparisons:
+    """Compare all phases of a path with those of two others as `compared` does; errors are the largest of a phase."""
+    held, method = any(phase.hold for phase in path.problem.phases), raised(path.method)
+    other = path.t if held else interlaced(path.t, path.problem.breakpoints)
+    paths = path, solve(method, path.t), solve(method, other)
+    of_whole = [[replace(phase, cost=one.cost) for phase in one.phases] for one in paths]
+    known = [TwoComparisons(*three).known for three in zip(*of_whole, strict=True)]
+    cost, error = (max(one.errors[k] for one in known) for k in (0, 1))
+    return Comparisons((), (cost, error), max(one.unseen for one in known))
 
 
 def _distance(path: ControlTrajectory, other: ControlTrajectory) -> float:

@@ -96,24 +96,32 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
     return tuple((least, most) for least, most in sides)
 
 
-def _law(law: Any, made: Made) -> ca.Function:
+def positions_and_velocities(name: str, law: Any, sizes: dict[str, int], d: int, mechanical: int) -> ca.Function:
     """A jump as a Function (x, v[, p]) -> x after, v after; v after is zero where x follows a rate."""
-    sizes, d = lengths("x v", made), dimension(made)
     if not callable(law):
-        raise TypeError(f"jump must be a callable of ({', '.join(sizes)}), got {law!r}")
+        raise TypeError(f"{name} must be a callable of ({', '.join(sizes)}), got {law!r}")
 
     @wraps(law)
     def after(*arguments: ca.SX) -> Any:
         sides = law(*arguments)
         if not isinstance(sides, (tuple, list)) or len(sides) != 2:
             raise TypeError(f"it must return a pair: x and v after the jump, got {sides!r}")
-        return ca.vertcat(*(ca.vertcat(*side) if isinstance(side, (tuple, list)) else side for side in sides))
+        columns = [ca.vertcat(*side) if isinstance(side, (tuple, list)) else ca.SX(side) for side in sides]
+        counts = [column.numel() for column in columns]
+        if counts != [d, d]:
+            raise ValueError(f"it must return {counted(d, 'position')} and as many velocities, got {counts}")
+        return ca.vertcat(*columns)
 
-    traced = trace("jump", after, sizes, 2 * d)
+    traced = trace(name, after, sizes, 2 * d)
     symbols = traced.sx_in()
     position, velocity = ca.vertsplit(traced(*symbols), d)
-    velocity[d - made["rates"].numel_out(0) :] = 0.0
+    velocity[mechanical:] = 0.0
     return ca.Function("jump", symbols, [position, velocity], list(sizes), ["x_after", "v_after"])
+
+
+def _law(law: Any, made: Made) -> ca.Function:
+    d = dimension(made)
+    return positions_and_velocities("jump", law, lengths("x v", made), d, d - made["rates"].numel_out(0))
 
 
 waypoints = timed("(t, positions) or (t, (g, lo, hi))", _waypoint)

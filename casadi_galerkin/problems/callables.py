@@ -107,7 +107,8 @@ def _traced(
         expected = {"any": "a column vector", "scalar": "a scalar"}.get(str(rows), f"a vector of length {rows}")
         raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
     value = ca.densify(value)
-    traced = ca.Function(name, [*symbols.values()], [value], list(sizes), ["value"], {"allow_free": True})
+    names, options = [list(sizes), ["value"]], {"allow_free": True}
+    traced = ca.Function(name.replace(" ", "_"), [*symbols.values()], [value], *names, options)
     _refuse_free(name, traced, shapes)
     return traced
 

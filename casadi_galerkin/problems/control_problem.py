@@ -18,6 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import Values, counted, times_inside, whole_number
 from casadi_galerkin.calculus.numbers import components as checked_components
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, within_rounding
@@ -26,7 +27,7 @@ from casadi_galerkin.problems.callables import Traceable, depends_on_time, left_
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
 from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import singular_mass
-from casadi_galerkin.problems.problem import Problem, with_values
+from casadi_galerkin.problems.problem import Problem, section_times, with_values
 from casadi_galerkin.problems.statements import (
     Made,
     dimension,
@@ -300,7 +301,7 @@ class ControlProblem(Problem):
         """Number of components that have an equation of motion; the others follow rates."""
         return self.force.numel_out(0)
 
-    @property
+    @cached_property
     def limits_of_end(self) -> list[int]:
         """Indices of the path constraints that limit what is free of the end.
 
@@ -355,7 +356,7 @@ class ControlProblem(Problem):
         self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
     ) -> ControlProblem:
         """Copy with the times and parameters of a solution, without checks; what was free stays free."""
-        moved = dict(zip(self.breakpoints, breakpoints, strict=True))
+        moved = dict(zip(section_times(self), [t_span[0], *breakpoints, t_span[1]], strict=True))
         timed = {name: tuple((moved[t], what) for t, what in getattr(self, name)) for name in ("waypoints", "jumps")}
         return with_values(self, t_span=t_span, parameters=parameters, breakpoints=breakpoints, **timed)
 

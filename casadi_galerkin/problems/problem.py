@@ -138,7 +138,7 @@ def is_given(value: object) -> bool:
     return value is not None and value is not False and not (isinstance(value, ca.Function) and not value.nnz_out(0))
 
 
-def section_times(problem: Problem) -> list[float]:
+def section_times(problem: Any) -> list[float]:
     """Times of both ends, with those of the breakpoints between them."""
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
 

@@ -149,6 +149,12 @@ class ControlTrajectory(Trajectory):
     find_sensitivity: Callable[[ControlTrajectory], Any]
     find_comparisons: Callable[[ControlTrajectory], Comparisons]
     cost_error: float | None = None
+    parts: tuple[ControlTrajectory, ...] = ()
+
+    @property
+    def phases(self) -> tuple[ControlTrajectory, ...]:
+        """The path of every phase: parted by jumps, waypoints that are functions and breakpoints at free times."""
+        return self.parts or (self,)
 
     @cached_property
     def _remaining_error(self) -> RemainingError:

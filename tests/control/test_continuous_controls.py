@@ -71,7 +71,7 @@ def scrambled(path):
 
 def continued(path):
     transcription = cg.transcribe(path.problem, path.method, mesh=path.t)
-    chain = transcription.chain
+    (chain,) = transcription.numbering.chains
     values = path.control.values.T.reshape(chain.intervals, -1, chain.controls)
     found = continuous_controls(path.problem, chain, path.polynomial, {"controls": values})
     return values, found.reshape(-1, chain.controls).T
@@ -89,7 +89,7 @@ def test_turns_are_taken_away_where_a_component_of_the_force_is_rounding():
     angles = np.repeat([[[0.0]], [[np.pi]]], 3, axis=0) + np.zeros((6, 4, 1))
     turns = np.random.default_rng(1).integers(-3, 4, angles.shape)
     problem = steered()
-    chain = cg.transcribe(problem, cg.Galerkin(4), 6).chain
+    (chain,) = cg.transcribe(problem, cg.Galerkin(4), 6).numbering.chains
     path = cg.solve(problem, cg.Galerkin(4), 6).polynomial
     found = continuous_controls(problem, chain, path, {"controls": angles + 2 * np.pi * turns}).ravel()
     jumps = np.flatnonzero(np.abs(np.diff(found)) > 1e-9)

@@ -1,5 +1,7 @@
 """Jumps at breakpoints, and waypoints that are functions: exact values, orders, costates, files and pictures."""
 
+from itertools import pairwise
+
 import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
@@ -10,7 +12,6 @@ from slow import slow
 import casadi_galerkin as cg
 
 SOLVED = 1e-8  # what a solver leaves of the optimality conditions, amplified by their conditioning
-BOTH = pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
 GIVEN = {"duration_bounds": None, "parameter_bounds": None}
 
 
@@ -46,9 +47,8 @@ def burning(**changes):
 # jumps
 
 
-@BOTH
-def test_a_bounce_has_the_least_effort_of_all_speeds(solver):
-    path = cg.solve(bounce(), cg.Galerkin(3), 4, solver=solver)
+def test_a_bounce_has_the_least_effort_of_all_speeds():
+    path = cg.solve(bounce(), cg.Galerkin(3), 4)
     speed = 10.8 / 6.56  # of effort(-1, 0, -s, 1) + effort(1, 0.8 s, 0, 1) = 12 - 10.8 s + 3.28 s²
     assert path.cost == pytest.approx(12 - 5.4 * speed, rel=1e-9)
     assert path.cost == pytest.approx(effort(-1, 0, -speed, 1) + effort(1, 0.8 * speed, 0, 1), rel=1e-9)
@@ -59,11 +59,10 @@ def test_a_bounce_has_the_least_effort_of_all_speeds(solver):
     assert (path.before(1.0, 1)[0], path(1.0, 1)[0]) == pytest.approx((-speed, 0.8 * speed), abs=SOLVED)
 
 
-@BOTH
-def test_a_bounce_at_a_free_time_keeps_the_hamiltonian(solver):
+def test_a_bounce_at_a_free_time_keeps_the_hamiltonian():
     """Time costs one half: each leg of duration T takes T/2 beside its effort, and neither knows of the other's."""
     timed = {"running_cost": lambda t, x, v, u: (u[0] ** 2 + 1) / 2, "duration_bounds": (0.2, 5.0)}
-    path = cg.solve(bounce(**timed), cg.Galerkin(4), 8, solver=solver)
+    path = cg.solve(bounce(**timed), cg.Galerkin(4), 8)
     np.testing.assert_allclose(path.hamiltonian, 0, atol=1e-7)
     first, second = np.diff([0.0, path.problem.jumps[0][0], path.t[-1]])
     speed = -path.arrival_velocity[0, 0]
@@ -80,11 +79,10 @@ def lagging(**stated):
     return double_integrator(rates=lambda t, x, v, u: u[0] - x[0], **first_order, **stated)
 
 
-@BOTH
-def test_a_component_of_first_order_jumps(solver):
+def test_a_component_of_first_order_jumps():
     """x' = u - x, and x falls by 1 at half time: the least ∫u²/2 is that of reaching 1 + e^(1/2)/e without a fall."""
     problem = lagging(jumps=[(0.5, lambda x, v: (x - 1, v))])
-    path = cg.solve(problem, cg.Galerkin(6), 4, solver=solver)
+    path = cg.solve(problem, cg.Galerkin(6), 4)
     goal = 1 + np.exp(-0.5)
     assert path.cost == pytest.approx(goal**2 / (1 - np.exp(-2)), rel=1e-11)
     times = np.linspace(0, 1, 9)
@@ -184,7 +182,7 @@ def test_an_answer_is_a_guess_with_its_jumps():
     assert cold.solve(guess=known).iterations <= 2
     finer = cg.transcribe(staged(), cg.Galerkin(6), 12)
     values = finer.starting_point(finer.problem, finer.calculus, known).values
-    jumps = values["x"][finer.chain.crossed] - values["nodes"][finer.chain.crossed - 1, -1]
+    jumps = np.array([after["x"][0] - before["x"][-1] for before, after in pairwise(values)])
     when = np.array(known.problem.breakpoints)
     np.testing.assert_allclose(jumps.T, known(when) - known.before(when), rtol=0, atol=1e-12)
     assert finer.solve(guess=known).iterations < finer.solve().iterations
@@ -231,7 +229,7 @@ def test_what_has_no_jumps_refuses_them():
 
 def test_a_law_that_is_not_finite_at_the_guess_is_named():
     problem = double_integrator(jumps=[(0.5, lambda x, v: (x, ca.sqrt(-1 - v)))])
-    with pytest.raises(ValueError, match=r"equation of motion of x\[0\] is not finite at the guess, at t = 0.5"):
+    with pytest.raises(ValueError, match=r"the continuity of v\[0\] is not finite at the guess, at t = 0.5"):
         cg.solve(problem, cg.Galerkin(3), 4)
 
 
@@ -244,13 +242,12 @@ def test_a_jump_that_fails_is_named_with_its_time():
 # waypoints that are functions
 
 
-@BOTH
 @pytest.mark.parametrize("given", [0.25, -0.5])
-def test_a_velocity_on_the_way_is_that_asked_for(given, solver):
+def test_a_velocity_on_the_way_is_that_asked_for(given):
     problem = double_integrator(
         t_span=(0.0, 2.0), waypoints=[(1.0, (lambda x, v: [x[0], v[0]], [0.3, given], [0.3, given]))]
     )
-    path = cg.solve(problem, cg.Galerkin(3), 4, solver=solver)
+    path = cg.solve(problem, cg.Galerkin(3), 4)
     assert path.cost == pytest.approx(effort(0.3, 0, given, 1) + effort(0.7, given, 0, 1), rel=1e-9)
     assert path.velocity[0, 2] == pytest.approx(given, abs=SOLVED)
     assert path(1.0)[0] == pytest.approx(0.3, abs=SOLVED)

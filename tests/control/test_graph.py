@@ -24,12 +24,13 @@ def graph(request, method):
 
 @pytest.fixture
 def somewhere(graph):
-    rng, chain = np.random.default_rng(1), graph.chain
-    everything = 0.5 + 0.3 * rng.standard_normal(chain.size)
-    everything[chain.fields["left"]] = np.arange(4) / 4
-    everything[chain.fields["part"]] = 1 / 4
-    unknowns, data = np.split(everything, [chain.unknowns])
-    return unknowns, data, 0.5 + 0.3 * rng.standard_normal(chain.equations)
+    rng, numbers = np.random.default_rng(1), graph.numbering
+    everything = 0.5 + 0.3 * rng.standard_normal(numbers.size)
+    for chain in numbers.chains:
+        everything[chain.fields["left"]] = np.arange(chain.intervals) / chain.intervals
+        everything[chain.fields["part"]] = 1 / chain.intervals
+    unknowns, data = np.split(everything, [numbers.unknowns])
+    return unknowns, data, 0.5 + 0.3 * rng.standard_normal(numbers.equations)
 
 
 def largest(matrix):

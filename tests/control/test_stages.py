@@ -181,15 +181,14 @@ def test_a_condition_takes_parameters():
 # phases and held controls
 
 
-@BOTH
 @pytest.mark.parametrize("degree", [2, *slow(6)])
-def test_a_switching_time_is_found_and_the_control_exact_between(degree, solver):
+def test_a_switching_time_is_found_and_the_control_exact_between(degree):
     problem = replace(minimum_time(), breakpoints=[0.3], duration_bounds=(0.1, 10.0), hold=True)
-    path = cg.solve(problem, cg.Galerkin(degree), 2, solver=solver)
+    path = cg.solve(problem, cg.Galerkin(degree), 2)
     np.testing.assert_allclose(path.t, [0, 1, 2], rtol=0, atol=SOLVED)
     np.testing.assert_allclose(path.control.values, [[1, -1]], rtol=0, atol=SOLVED)
     assert path.problem.breakpoints == (path.t[1],)
-    again = cg.transcribe(problem, cg.Galerkin(degree), 2).solve(guess=path, solver=cg.ipopt)
+    again = cg.transcribe(problem, cg.Galerkin(degree), 2).solve(guess=path)
     assert again.iterations <= 4
     np.testing.assert_allclose(again.t, path.t, rtol=0, atol=SOLVED)
 
@@ -209,12 +208,11 @@ def test_every_phase_keeps_its_own_bounds():
     assert path.cost == pytest.approx(6 / 0.8**3 + 80, abs=1e-6)
 
 
-@BOTH
 @pytest.mark.parametrize("count", [2, *slow(6)])
-def test_durations_that_their_bounds_give_are_as_given(count, solver):
+def test_durations_that_their_bounds_give_are_as_given(count):
     given = double_integrator(breakpoints=[0.3], hold=True)
     bounded = replace(given, duration_bounds=([0.3, 0.7], [0.3, 0.7]))
-    costs = [cg.solve(problem, cg.Galerkin(3), count, solver=solver).cost for problem in (given, bounded)]
+    costs = [cg.solve(problem, cg.Galerkin(3), count).cost for problem in (given, bounded)]
     assert costs[1] == pytest.approx(costs[0], rel=1e-10)
 
 
@@ -285,6 +283,15 @@ def test_what_fatrop_cannot_take_is_refused_and_solved_by_ipopt(changes, message
     with pytest.raises(ValueError, match=rf"{message}.*"):
         cg.solve(problem, cg.Galerkin(3), 4, solver=cg.fatrop)
     assert cg.solve(problem, cg.Galerkin(3), 4).cost == pytest.approx(6, abs=SOLVED)
+
+
+def test_fatrop_takes_no_phases():
+    timed = double_integrator(duration_bounds=(0.1, 0.9), breakpoints=[0.5])
+    for problem in (timed, double_integrator(jumps=[(0.5, lambda x, v: (x, -v))])):
+        with pytest.raises(
+            ValueError, match="fatrop takes no phases, such as jumps and breakpoints with free times make"
+        ):
+            cg.solve(problem, cg.Galerkin(3), 4, solver=cg.fatrop)
 
 
 @pytest.mark.parametrize("option", [{"nonsense": 1}, {"max_iter": "many"}, {"tol": np.nan}, {"max_iter": 0}], ids=str)

@@ -46,7 +46,7 @@ BADLY_STATED = {
     "a law of too many": (
         {"jumps": [(0.5, lambda x, v: (x, [v, v]))]},
         ValueError,
-        r"at t = 0.5: jump must return a vector of length 2, got shape \(3, 1\)",
+        r"at t = 0.5: jump failed .*: it must return 1 position and as many velocities, got \[1, 2\]",
     ),
     "a law of other functions": (
         {"jumps": [(0.5, lambda x, v: (x, math.cos(v)))]},

@@ -1,0 +1,187 @@
+"""The answer of an optimization: the path of every phase with its controls and multipliers, and the whole of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.control.control_graph import Report
+from casadi_galerkin.control.control_numbering import Chain, Numbering
+from casadi_galerkin.control.failed_optimization import undefined
+from casadi_galerkin.control.optimizer import Optimum
+from casadi_galerkin.control.second_order import SecondOrder
+from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.legendre_transform import momentum_at
+from casadi_galerkin.problems.phases import Joins, Phases, sections
+from casadi_galerkin.solution.control_path import ControlPath
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
+
+
+@dataclass(frozen=True)
+class OptimalPoint:
+    """The point that a solver has found.
+
+    Attributes
+    ----------
+    numbering, joins : of the program
+    optimum : Optimum
+    report : Report
+    values, paths : values of the fields, and the path, of every phase
+    """
+
+    numbering: Numbering
+    joins: Joins
+    optimum: Optimum
+    report: Report
+    values: list[dict[str, np.ndarray]]
+    paths: list[PiecewisePolynomial]
+
+
+def answer(
+    problem: ControlProblem | Phases,
+    phases: Sequence[ControlProblem],
+    point: OptimalPoint,
+    second_order: SecondOrder,
+    **solve: Any,
+) -> ControlTrajectory | PhasesTrajectory:
+    """The answer to a problem; `solve` are attributes of its path that report on the solve."""
+    numbers, report = point.numbering, point.report
+    multipliers = point.optimum.multipliers / numbers.units(point.values)
+    bound_multipliers = point.optimum.bound_multipliers
+    whole = {**solve, "cost_size": report.cost_size, "duals": (multipliers, bound_multipliers)}
+    hamiltonians = np.split(report.hamiltonian, np.cumsum([chain.intervals for chain in numbers.chains])[:-1])
+    links = {after + 1: f"join {i}" for i, after in enumerate(point.joins.after) if point.joins.of_positions[i]}
+    found = list[ControlTrajectory]()
+    for k, (phase, chain, values, path) in enumerate(
+        zip(phases, numbers.chains, point.values, point.paths, strict=True)
+    ):
+        joints, mechanical, rule = path.mesh, chain.mechanical, chain.method.element.points
+        parameters = None if phase.parameters is None else tuple(values["parameters"].tolist())
+        span = float(joints[0]), float(joints[-1])
+        solved = phase.found(span, parameters, tuple(joints[chain.breaks].tolist()))
+        controls = np.concatenate(values["controls"]).T
+        control = ControlPath(joints, chain.control_times, controls, rule, phase.control_bounds)
+        for reason, residual in (
+            (off_constraint(solved, path), solve["residual"]),
+            (undefined(phase, path, control, parameters), math.inf),
+        ):
+            if reason is not None:
+                where = f"of phase {k} " if isinstance(problem, Phases) else ""
+                raise ConvergenceError(f"no path {where}was found: {reason}", Path(path), residual, solve["iterations"])
+        momentum = np.zeros((chain.dimension, len(joints)))
+        momentum[:mechanical] = (values["momentum"] * values["sizes"]).T
+        rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T
+        first = None
+        if k in links:
+            pulls = multipliers[numbers.joins[links[k]]] + bound_multipliers[chain.fields["x"][0]]
+            at = joints[0], values["x"][0], np.append(values["start_velocity"], rates[0]), parameters or ()
+            pulls -= multipliers[chain.rows["start"]] @ momentum_change(phase.lagrangian, mechanical)(*at).full()
+            first = -pulls[mechanical:]
+        costate = chain.costate(multipliers, bound_multipliers, joints, first)
+        found.append(
+            ControlTrajectory(
+                polynomial=path,
+                momentum=tangent_at_joints(solved, path, momentum),
+                action=float(report.actions[k]),
+                problem=solved,
+                find_remaining_error=partial(second_order.remaining_error, k),
+                find_sensitivity=second_order.sensitivity,
+                cost=report.cost if len(phases) == 1 else float(report.costs[k]),
+                control=control,
+                costate=costate,
+                path_multipliers=_path_multipliers(chain, multipliers, joints),
+                hamiltonian=hamiltonians[k],
+                start_velocity=np.append(values["start_velocity"], rates[0]),
+                end_velocity=np.append(values["end_velocity"], rates[1]),
+                arrival_velocity=np.zeros((0, mechanical)),
+                **whole,
+            )
+        )
+    if isinstance(problem, Phases):
+        solved_phases = problem.found([one.problem for one in found])
+        return PhasesTrajectory(phases=tuple(found), problem=solved_phases, cost=report.cost, **whole)
+    return found[0] if len(found) == 1 else _in_one(problem, found, report.cost, second_order)
+
+
+@lru_cache(8)
+def momentum_change(lagrangian: ca.Function, mechanical: int) -> ca.Function:
+    """(t, x, v, p) -> derivatives of the momenta by x."""
+    t, x, v, *p = lagrangian.sx_in()
+    change = ca.jacobian(momentum_at(lagrangian, t, x, v, *p)[:mechanical], x)
+    return ca.Function("momentum_change", [t, x, v, *(p or [ca.SX(0, 1)])], [change])
+
+
+def _path_multipliers(chain: Chain, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath | None:
+    """Multipliers of the path constraints as functions of time: those of the points over their steps of time."""
+    if not chain.path_constraints:
+        return None
+    rule = chain.method.element
+    values = multipliers[chain.rows["path"]] / np.multiply.outer(np.diff(joints), rule.weights)[:, :, None]
+    return ControlPath(joints, rule.points, np.concatenate(values).T, rule.points)
+
+
+def _in_one(
+    problem: ControlProblem, parts: list[ControlTrajectory], cost: float, second_order: SecondOrder
+) -> ControlTrajectory:
+    """The phases into which one problem was parted as its answer."""
+    first, last = parts[0], parts[-1]
+    marks, laws = [part.problem.t_span[1] for part in parts[:-1]], dict(problem.jumps)
+    stated = [part.t_span[1] for part in sections(problem)[:-1]]
+    t = np.append(np.concatenate([part.t[:-1] for part in parts]), last.t[-1])
+    moved = dict(zip(stated, marks, strict=True))
+    breakpoints = tuple(moved.get(time, time) for time in problem.breakpoints)
+    polynomials = [part.polynomial for part in parts]
+    arrived = [
+        p.end_velocity for p, when in zip(parts, stated, strict=False) if when in {c.time for c in problem.crossings}
+    ]
+    limits = [part.path_multipliers for part in parts if part.path_multipliers is not None]
+    return replace(
+        first,
+        polynomial=connected(polynomials, [when in laws for when in stated]),
+        momentum=np.hstack([*(part.momentum[:, :-1] for part in parts[:-1]), last.momentum]),
+        action=sum(part.action for part in parts),
+        problem=problem.found((t[0].item(), t[-1].item()), first.parameters, breakpoints),
+        find_remaining_error=second_order.remaining_error,
+        cost=cost,
+        control=_one_after_the_other([part.control for part in parts], t),
+        costate=connected([part.costate for part in parts], [True] * len(marks)),
+        path_multipliers=_one_after_the_other(limits, t) if limits else None,
+        hamiltonian=np.concatenate([part.hamiltonian for part in parts]),
+        end_velocity=last.end_velocity,
+        arrival_velocity=np.reshape([v[: problem.mechanical] for v in arrived], (len(arrived), problem.mechanical)),
+        parts=tuple(parts),
+    )
+
+
+def _one_after_the_other(parts: list[ControlPath], mesh: np.ndarray) -> ControlPath:
+    return ControlPath(
+        mesh, parts[0].points, np.hstack([part.values for part in parts]), parts[0].rule, parts[0].bounds
+    )
+
+
+def connected(parts: Sequence[PiecewisePolynomial], jumping: Sequence[bool]) -> PiecewisePolynomial:
+    """Paths one after the other as one, which may jump from some to the next."""
+    last, joints = parts[-1], np.cumsum([len(part.mesh) - 1 for part in parts])[:-1]
+    mesh, values = (
+        np.concatenate([*(a[..., :-1] for a in some[:-1]), some[-1]], axis=-1)
+        for some in ([part.mesh for part in parts], [part.values for part in parts])
+    )
+    arrivals = values[:, last.degree :: last.degree].copy()
+    local = np.concatenate([part.local[:, :, -1] for part in parts], axis=1)
+    stays = np.ones(len(mesh) - 1, dtype=bool)
+    stays[joints[~np.array(jumping, dtype=bool)] - 1] = False
+    arrivals[:, stays] = local[:, stays]
+    return PiecewisePolynomial(
+        mesh, last.nodes, values, arrivals if np.any(arrivals != values[:, last.degree :: last.degree]) else None
+    )

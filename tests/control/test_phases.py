@@ -1,0 +1,190 @@
+"""Phases with statements of their own: exact values, what links and joins them, and the same digits as with jumps."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+
+SOLVED = 1e-8  # what a solver leaves of the optimality conditions, amplified by their conditioning
+
+
+def moving(begin, end_time, start=None, end=None, **changes):
+    """A unit mass with the force u, at the cost ∫u²/2."""
+    fields = {
+        "lagrangian": lambda t, x, v: v[0] ** 2 / 2,
+        "t_span": (begin, end_time),
+        "start": start,
+        "end": end,
+        "force": lambda t, x, v, u: u,
+        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2,
+        "controls": 1,
+        "components": 1,
+    }
+    return cg.ControlProblem(**(fields | changes))
+
+
+def two_bodies():
+    """Two unit masses, of which the second comes to rest at 1."""
+    return cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 1.0),
+        [0.0, 0.0],
+        [None, 1.0],
+        [0.0, 0.0],
+        [None, 0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
+        controls=2,
+    )
+
+
+def bouncing(**changes):
+    """From rest at 1 to a wall at 0, where it bounces with 0.8 of its velocity, and back to rest at 1."""
+    first = moving(0.0, 1.0, 1.0, 0.0, start_velocity=0.0, **changes)
+    second = moving(1.0, 2.0, end=1.0, end_velocity=0.0, **changes)
+    return cg.Phases([first, second], links=[lambda x, v: (x, -0.8 * v)])
+
+
+def in_one(**changes):
+    """The same as one problem with a jump."""
+    stated = {"waypoints": [(1.0, [0.0])], "jumps": [(1.0, lambda x, v: (x, -0.8 * v))]}
+    return moving(0.0, 2.0, 1.0, 1.0, start_velocity=0.0, end_velocity=0.0, **(stated | changes))
+
+
+def test_a_bounce_is_the_same_as_one_problem_with_a_jump():
+    path, other = cg.solve(bouncing(), cg.Galerkin(3), 4), cg.solve(in_one(), cg.Galerkin(3), 4)
+    speed = 10.8 / 6.56
+    assert path.cost == pytest.approx(12 - 5.4 * speed, rel=1e-12)
+    assert path.cost == pytest.approx(other.cost, rel=1e-12)
+    times = np.linspace(0, 2, 30)
+    for name in ("__call__", "before", "control", "costate"):
+        np.testing.assert_allclose(getattr(path, name)(times), getattr(other, name)(times), rtol=0, atol=1e-10)
+    assert path.before(1.0, 1)[0] == pytest.approx(-speed, abs=SOLVED)
+    assert path(1.0, 1)[0] == pytest.approx(0.8 * speed, abs=SOLVED)
+    assert [len(phase.t) for phase in path.phases] == [3, 3]
+    assert sum(phase.cost for phase in path.phases) == pytest.approx(path.cost, rel=1e-12)
+    assert path.morse_index == other.morse_index == 0
+    assert path.estimate_error() < 1e-9
+
+
+def test_free_durations_follow_one_another():
+    timed = {"duration_bounds": (0.3, 5.0), "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + 1}
+    path = cg.solve(bouncing(**timed), cg.Galerkin(4), 8)
+    other = cg.solve(in_one(**timed), cg.Galerkin(4), 8)
+    assert path.cost == pytest.approx(other.cost, rel=1e-10)
+    np.testing.assert_allclose(path.t, other.t, rtol=0, atol=SOLVED)
+    assert path.phases[0].t[-1] == path.phases[1].t[0]
+    np.testing.assert_allclose(path.problem.breakpoints, other.problem.breakpoints, rtol=0, atol=SOLVED)
+    np.testing.assert_allclose(path.phases[1].hamiltonian, 0, atol=SOLVED)
+    assert cg.transcribe(bouncing(**timed), cg.Galerkin(4), 8).solve(guess=path).iterations <= 2
+
+
+def test_a_component_goes_with_the_body_that_is_dropped():
+    """Two bodies move side by side; after a third of the time one of them is left, which then goes on alone."""
+    path = cg.solve(
+        cg.Phases([two_bodies(), moving(1.0, 2.0, end=1.0, end_velocity=0.0)], links=[lambda x, v: (x[0], v[0])]),
+        cg.Galerkin(3),
+        2,
+    )
+    assert path.cost == pytest.approx(6 + 6 / 8, rel=1e-10)
+    assert path(np.array([0.5, 1.5])).shape == (2, 2)
+    np.testing.assert_array_equal(np.isnan(path(np.array([0.5, 1.5]))), [[False, False], [False, True]])
+    np.testing.assert_allclose(path.before(1.0), [0.5, 1.0], rtol=0, atol=SOLVED)
+    path.plot()
+
+
+def test_conditions_and_costs_join_phases():
+    """At half time, which is free, the speed is twice the place; the earlier phase lasts as long as the later."""
+    free = {"duration_bounds": (0.2, 3.0)}
+    phases = cg.Phases(
+        [moving(0.0, 1.0, 0.0, start_velocity=0.0, **free), moving(1.0, 2.0, end=1.0, end_velocity=0.0, **free)],
+        links=[(lambda x, v, x_after, v_after: [x - x_after, v - v_after, v - 2 * x], 0.0, 0.0)],
+        conditions=(lambda first, second: [second.t1 - 2 * first.t1 + first.t0], 0.0, 0.0),
+        cost=lambda first, second: (second.t1 - 3.0) ** 2,
+    )
+    path = cg.solve(phases, cg.Galerkin(4), 4)
+    assert path.t[-1] == pytest.approx(2 * path.phases[1].t[0], rel=1e-9)
+    place, speed = path.phases[0](path.phases[1].t[0])[0], path.phases[1].start_velocity[0]
+    assert speed == pytest.approx(2 * place, rel=1e-8)
+    assert sum(phase.cost for phase in path.phases) + (path.t[-1] - 3) ** 2 == pytest.approx(path.cost, rel=1e-10)
+
+
+def test_phases_with_equal_statements_share_their_functions():
+    base = moving(0.0, 1.0, 0.0, start_velocity=0.0)
+    others = [moving(float(k), k + 1.0) for k in range(1, 4)]
+    last = moving(4.0, 5.0, end=1.0, end_velocity=0.0)
+    graph = cg.transcribe(cg.Phases([base, *others, last]), cg.Galerkin(3), 5).graph
+    assert len({id(place.terms) for place in graph.places if place.integrated}) == 1
+
+
+def test_each_phase_has_intervals_of_its_own():
+    phases = bouncing()
+    path = cg.solve(phases, cg.Galerkin(3), mesh=phases.mesh([1, 3]))
+    assert [len(phase.t) - 1 for phase in path.phases] == [1, 3]
+    with pytest.raises(ValueError, match="intervals must be 2 numbers, one for every phase, got"):
+        phases.mesh([1])
+
+
+def test_a_summary_has_every_phase():
+    text = repr(cg.solve(bouncing(), cg.Galerkin(3), 4))
+    assert "PhasesTrajectory of 2 phases on [0, 2], 4 intervals" in text
+    assert "phase 1     1 component and 1 control on [1, 2]" in text
+
+
+@pytest.mark.parametrize(
+    ("make", "kind", "message"),
+    [
+        (lambda: cg.Phases([moving(0, 1, 0.0)]), ValueError, "phases must be two or more ControlProblems"),
+        (lambda: cg.Phases([moving(0, 1, 0.0), 3]), TypeError, "phase 1 must be a ControlProblem, got int"),
+        (
+            lambda: cg.Phases([moving(0, 1, 0.0), moving(2, 3)]),
+            ValueError,
+            r"phase 1 must begin when phase 0 ends, at t = 1.0, got t_span \(2.0, 3.0\)",
+        ),
+        (
+            lambda: cg.Phases([moving(0, 1, 0.0), moving(1, 2)], links=[]),
+            ValueError,
+            "links must be 1, one for every phase but the last",
+        ),
+        (
+            lambda: cg.Phases([moving(0, 1, 0.0), moving(1, 2)], links=[lambda x, v: (ca.vertcat(x, x), v)]),
+            ValueError,
+            r"link 0 failed .*it must return 1 position and as many velocities, got \[2, 1\]",
+        ),
+        (
+            lambda: cg.Phases([moving(0, 1, 0.0), moving(1, 2)], links=[(lambda x, v, y, w: [x - y, 3.0], 0, 0)]),
+            ValueError,
+            "condition 1 of link 0 depends on nothing that is free: it is 3.0, whatever the path",
+        ),
+        (
+            lambda: cg.Phases([moving(0, 1, 0.0, 1.0), moving(1, 2, 2.0)]),
+            ValueError,
+            r"the link of x\[0\] to phase 1 is missed by 1.0 by what both give",
+        ),
+        (
+            lambda: cg.Phases([two_bodies(), moving(1, 2)]),
+            ValueError,
+            r"phase 0 has 2 components, and phase 1 has 1: give a law \(x, v\) -> \(x, v\) as link 0",
+        ),
+        (
+            lambda: cg.solve(bouncing(), tol=1e-3),
+            ValueError,
+            "Phases are solved with a method and intervals, and no tolerance",
+        ),
+    ],
+)
+def test_what_is_no_sequence_of_phases_is_refused(make, kind, message):
+    with pytest.raises(kind, match=message):
+        make()
+
+
+def test_a_failure_names_the_phase():
+    with pytest.raises(cg.ConvergenceError, match="of phase 1 at t"):
+        cg.solve(
+            cg.Phases(
+                [moving(0, 1, 0.0), moving(1, 2, end=5.0, path_constraint=(lambda t, x, v, u: v[0] ** 2, -2.0, -1.0))]
+            ),
+            cg.Galerkin(3),
+            4,
+        )
