@@ -107,7 +107,7 @@ def test_degree_one_with_the_left_rectangle_is_symplectic_euler():
     np.testing.assert_allclose(np.diff(x), h * p[1:], rtol=0, atol=IDENTITY)
 
 
-@pytest.mark.parametrize("degree", [5, *slow(2, 9)])
+@pytest.mark.parametrize("degree", [5, *slow(9)])
 @pytest.mark.parametrize("other", ["chebyshev", "equispaced", "odd"])
 def test_two_families_of_control_points_give_the_same_path(degree, other):
     points = {
@@ -169,7 +169,7 @@ def test_discrete_action_of_the_short_pendulum_has_its_computed_value(degree, ru
     assert path.action == pytest.approx(action, rel=IDENTITY)
 
 
-@pytest.mark.parametrize("degree", [2, *slow(5, 8)])
+@pytest.mark.parametrize("degree", [2, *slow(8)])
 @pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1), lambda m: cg.radau(m)])
 @pytest.mark.parametrize("name", ["free particle", "uniform gravity"])
 def test_parabolas_are_reproduced_on_any_mesh(degree, rule, name):

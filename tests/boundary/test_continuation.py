@@ -208,7 +208,7 @@ def test_the_free_phase_of_a_periodic_path_is_refused():
         cg.continuation(problem, [1.2], cg.Galerkin(6), 8, guess=lambda t: [np.sin(t)])
 
 
-@pytest.mark.parametrize("imperfection", [1e-3, *slow(1e-4, 1e-5)])
+@pytest.mark.parametrize("imperfection", [1e-3, *slow(1e-5)])
 def test_a_sharp_fold_is_exact(imperfection):
     """On the other side, the rod is bent by x = -2 asin(k sn(√p t)), whose least load is that at the fold."""
 
@@ -234,7 +234,7 @@ def test_a_first_step_that_lands_on_a_conjugate_point_is_shortened():
     assert [path.morse_index for path in branch.trajectories] == [int(p > np.pi**2) for p in branch.parameters[:, 0]]
 
 
-@pytest.mark.parametrize("imperfection", [1e-2, *slow(1e-4, 1e-6)])
+@pytest.mark.parametrize("imperfection", [1e-2, *slow(1e-6)])
 def test_a_branch_grows_far_beyond_the_size_of_its_first_path(imperfection):
     """Past an imperfect bifurcation, that of a rod under its load, the path is up to a million times as large."""
     rod = cg.BoundaryProblem(
@@ -249,7 +249,7 @@ def test_a_branch_grows_far_beyond_the_size_of_its_first_path(imperfection):
     assert len(branch.trajectories) < 200
 
 
-@pytest.mark.parametrize(("first", "target"), [(0.3, 0.1), *slow((1e6, 1e-6), (1e-6, 1e6))])
+@pytest.mark.parametrize(("first", "target"), [(0.3, 0.1), *slow((1e-6, 1e6))])
 def test_a_branch_ends_at_its_target_to_the_last_digit(first, target):
     problem = cg.BoundaryProblem(
         lambda t, x, v, p: v[0] ** 2 / 2 + x[0] ** 4 / 4 + p[0] * x[0] + p[1],
@@ -290,7 +290,7 @@ def test_a_branch_along_an_axis_of_symmetry_is_followed():
     assert np.max(np.abs(path.x[0])) < 1e-14
 
 
-@pytest.mark.parametrize("unit", [1e-9, *slow(1.0, 1e9)])
+@pytest.mark.parametrize("unit", [1e-9, *slow(1e9)])
 def test_a_branch_that_begins_at_a_path_that_is_zero_finds_its_fold_in_any_unit(unit):
     problem = cg.BoundaryProblem(
         lambda t, x, v, p: v[0] ** 2 / 2 - unit**2 * (ca.exp(x[0] / unit) - (1 - p[0]) * x[0] / unit),
@@ -437,7 +437,7 @@ def test_a_branch_whose_first_rate_is_zero_is_followed(target):
     assert len(branch.trajectories) < 150
 
 
-@pytest.mark.parametrize("beside", [0.002, *slow(0.05, 1e-3, 1e-4)])
+@pytest.mark.parametrize("beside", [0.002, *slow(1e-4)])
 @pytest.mark.parametrize("bent", [1.0, *slow(-1.0)])
 def test_a_branch_is_not_left_where_two_nearly_cross(bent, beside):
     """A rod under less and less pressure, one end a little aside: bent to that side, it straightens without a fold.
@@ -509,9 +509,7 @@ def test_a_branch_that_begins_where_it_has_no_rate_is_refused(force):
         cg.continuation(problem, [1.0], cg.Galerkin(4), intervals=4)
 
 
-@pytest.mark.parametrize(
-    ("depth", "where", "waves"), [(1.11e-5, 0.879, 3.257), *slow((5.9e-4, 1.189, 1.378), (1.41e-3, 1.2, 2.19))]
-)
+@pytest.mark.parametrize(("depth", "where", "waves"), [(1.11e-5, 0.879, 3.257), *slow((1.41e-3, 1.2, 2.19))])
 def test_a_branch_ends_before_a_fold_that_lies_just_beyond_its_end(depth, where, waves):
     """Back at p = 0 there is one rest position on either side of that fold."""
     before = where - np.sqrt(depth)

@@ -27,7 +27,7 @@ def half_orbit(eccentricity, energy=-0.5):
     return problem, lambda t: turning(t) * [1, np.sqrt(1 - eccentricity**2)]
 
 
-@pytest.mark.parametrize("eccentricity", [0.5, *slow(0.1, 0.9)])
+@pytest.mark.parametrize("eccentricity", [0.5, *slow(0.9)])
 def test_an_orbit_of_given_energy_has_keplers_period(eccentricity):
     problem, guess = half_orbit(eccentricity)
     path = cg.solve(problem, tol=1e-12, guess=guess)
@@ -36,7 +36,7 @@ def test_an_orbit_of_given_energy_has_keplers_period(eccentricity):
     np.testing.assert_allclose(path.energy, -0.5, rtol=1e-11)
 
 
-@pytest.mark.parametrize("energy", [-5.0, *slow(-0.5, -0.02)])
+@pytest.mark.parametrize("energy", [-5.0, *slow(-0.02)])
 def test_the_period_is_that_of_the_energy_alone(energy):
     """T = 2π (-2E)^(-3/2); the action of a whole orbit is 3π (-2E)^(-1/2), as ∫ p·v dt = S + E T = 2π (-2E)^(-1/2)."""
     problem, guess = half_orbit(0.3, energy)
@@ -72,7 +72,7 @@ def test_the_times_of_the_answer_are_those_of_its_problem():
     np.testing.assert_allclose(again.t, path.t, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("amplitude", [1.0, *slow(0.1, 3.0)])
+@pytest.mark.parametrize("amplitude", [1.0, *slow(3.0)])
 def test_a_periodic_pendulum_of_given_energy_has_the_period_of_its_elliptic_integral(amplitude):
     problem = cg.BoundaryProblem(pendulum, (0, 7.0), [None], periodic=True, energy=-np.cos(amplitude))
     path = cg.solve(problem, tol=1e-12, guess=lambda t: [amplitude * np.sin(2 * np.pi * t / 7)])
@@ -127,7 +127,7 @@ def test_the_time_of_flight_of_given_energy_is_an_integral():
     assert path.t[-1] == pytest.approx(time, rel=PERIOD)
 
 
-@pytest.mark.parametrize("began", [1e6, *slow(1e4, 1e9)])
+@pytest.mark.parametrize("began", [1e6, *slow(1e9)])
 def test_the_clock_of_a_path_of_given_energy_may_have_begun_long_ago(began):
     def problem(start):
         return cg.BoundaryProblem(kepler, (start, start + 1.5), [1.0, 0.0], [-0.2, 0.9], energy=-0.5)
@@ -195,7 +195,7 @@ def pulled(x, v):
     return np.array([2 * v[1] + x[0], -2 * v[0] + x[1]]) - gravity
 
 
-@pytest.mark.parametrize(("jacobi", "width"), [(3.15, 0.03), *slow((3.18, 0.01), (3.1, 0.05))])
+@pytest.mark.parametrize(("jacobi", "width"), [(3.15, 0.03), *slow((3.1, 0.05))])
 def test_half_a_lyapunov_orbit_meets_the_axis_at_right_angles_when_integrated(jacobi, width):
     problem = cg.BoundaryProblem(circular_restricted, (0, 1.35), [None, 0.0], [None, 0.0], energy=-jacobi / 2)
     phase = lambda t: np.pi * t / 1.35  # noqa: E731
@@ -286,7 +286,7 @@ def test_a_periodic_path_of_given_energy_needs_a_guess_that_moves_at_its_start(g
         cg.solve(problem, METHOD, intervals=4, guess=guess)
 
 
-@pytest.mark.parametrize("phase", [1.73, *slow(1.41, 4.56)])
+@pytest.mark.parametrize("phase", [1.73, *slow(4.56)])
 @pytest.mark.parametrize("way", [{"method": METHOD, "intervals": 12}, {"tol": 1e-8}], ids=["mesh", "tolerance"])
 def test_a_path_that_turns_back_where_it_began_is_not_periodic(phase, way):
     """Near a turning point another path of the same energy goes through the start twice, there and back."""
@@ -342,7 +342,7 @@ def test_an_energy_beside_a_constraint_that_moves_is_refused():
         )
 
 
-@pytest.mark.parametrize("duration", [0.01, *slow(0.6, 50.0)])
+@pytest.mark.parametrize("duration", [0.01, *slow(50.0)])
 def test_a_duration_of_given_energy_stays_positive_whatever_its_guess(duration):
     """Time of flight of a pendulum, ∫ dx / sqrt(2 (E + cos x))."""
     problem = cg.BoundaryProblem(

@@ -191,7 +191,7 @@ def forced(stiffness, start, end, force):
     return cg.BoundaryProblem(lambda t, x, v: stiffness * v[0] ** 2 / 2, (0.0, 1.0), [start], [end], force=force)
 
 
-@pytest.mark.parametrize(("stiffness", "tol"), [(1e-3, 1e-9), *slow((1e-4, 1e-6), (1e-6, 1e-3))])
+@pytest.mark.parametrize(("stiffness", "tol"), [(1e-3, 1e-9), *slow((1e-6, 1e-3))])
 def test_a_corner_layer_is_found_under_a_growing_force(stiffness, tol):
     """Cash's test problem 20: from a straight line to a corner at 0.745, which a straight line does not tell of."""
 
@@ -228,7 +228,7 @@ def test_a_force_that_leaves_no_path_is_refused():
         cg.solve(problem, tol=TOL, limits=cg.Limits(seconds=0.01))
 
 
-@pytest.mark.parametrize("tol", [1e-6, *slow(1e-3, 1e-4, 1e-8, 1e-11)])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-11)])
 def test_a_front_that_nothing_holds_ends_no_search(tol):
     """Newton's method finds fronts in the middle, where the second variation vanishes; the path's is at its end."""
     stiffness, potential = 1e-4, lambda x: x**2 / 2 - x**4 / 4

@@ -74,7 +74,7 @@ def test_the_velocity_found_for_a_projectile_hits_the_target_when_integrated():
     np.testing.assert_allclose(end, [60, 0, *path.velocity[:, -1]], rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("degree", [2, *slow(1, 5)])
+@pytest.mark.parametrize("degree", [2, *slow(5)])
 @pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.gauss(m + 1), lambda m: cg.lobatto(m + 1), cg.radau])
 def test_a_force_that_is_a_gradient_gives_the_path_of_its_potential(degree, rule):
     method = cg.Galerkin(degree, quadrature=rule(degree))
@@ -121,7 +121,7 @@ def test_parameters_reach_a_force_and_change():
         np.testing.assert_allclose(path.x[0], exact, rtol=0, atol=CLOSED_FORM)
 
 
-@pytest.mark.parametrize("tol", [1e-7, *slow(1e-4, 1e-10)])
+@pytest.mark.parametrize("tol", [1e-7, *slow(1e-10)])
 def test_a_forced_path_found_to_a_tolerance_meets_it(tol):
     path, exact = cg.solve(projectile(), tol=tol), cg.solve(projectile(), cg.Galerkin(12), intervals=16)
     times = np.linspace(0, 4, 401)
@@ -144,8 +144,8 @@ def test_a_periodic_path_takes_from_its_drive_what_friction_takes_from_it():
     np.testing.assert_allclose(path.x[0], exact, rtol=0, atol=CLOSED_FORM)
 
 
-@pytest.mark.parametrize("tol", [1e-6, *slow(1e-3, 1e-9)])
-@pytest.mark.parametrize("n", [1, *slow(2, 3)])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-9)])
+@pytest.mark.parametrize("n", [1, *slow(3)])
 def test_a_force_with_a_pole_that_a_radial_path_cancels_is_no_jump(n, tol):
     """x'' = 1 - n x'/t with x(1) = 0 in a ball: v/t is constant, but rounding of v over a small t is not."""
     ball = cg.BoundaryProblem(
@@ -187,7 +187,7 @@ def test_a_force_that_does_not_fit_is_refused(force, kind, message):
 
 
 @pytest.mark.parametrize("options", [{"tol": 1e-6}, {"method": cg.Galerkin(8), "intervals": 8}], ids=str)
-@pytest.mark.parametrize("coupling", [1e-6, *slow(1e-8, 1e-17)])
+@pytest.mark.parametrize("coupling", [1e-6, *slow(1e-17)])
 def test_a_component_that_is_driven_is_accurate_down_to_a_small_part_of_the_others(coupling, options):
     """x₀'' = -4x₀ and x₁'' = -x₁ + ε x₀, whose own component is of size ε; below rounding of the other it is zero."""
     driven = cg.BoundaryProblem(

@@ -120,7 +120,7 @@ def test_no_success_on_a_random_problem_misses_its_tolerance(seed):
     assert relative_error(path, exact) <= WORST * tol
 
 
-@pytest.mark.parametrize("epsilon", [1e-5, *slow(1e-2, 1e-8)])
+@pytest.mark.parametrize("epsilon", [1e-5, *slow(1e-8)])
 def test_layers_are_found(epsilon):
     width, tol = np.sqrt(epsilon), 1e-9
     path = cg.solve(cg.BoundaryProblem(boundary_layer(epsilon), (0, 1), [1.0], [0.0]), tol=tol)
@@ -130,7 +130,7 @@ def test_layers_are_found(epsilon):
     assert error <= tol
 
 
-@pytest.mark.parametrize(("rate", "upper"), [(1.0, False), (1.0, True), *slow((3.51, False), (3.51, True))])
+@pytest.mark.parametrize(("rate", "upper"), [(1.0, False), (1.0, True), *slow((3.51, True))])
 def test_both_of_bratus_branches_are_found(rate, upper):
     theta = bratu_theta(rate, upper)
     guess = (lambda t: [20 * t * (1 - t)]) if upper else None
@@ -147,7 +147,7 @@ def comet(eccentricity):
     return problem, exact, lambda t: of_anomaly(eccentricity, 2 * t / half)[0]
 
 
-@pytest.mark.parametrize(("eccentricity", "tol"), [(0.9, 1e-3), *slow((0.9, 1e-6), (0.9, 1e-9), (0.9, 1e-12))])
+@pytest.mark.parametrize(("eccentricity", "tol"), [(0.9, 1e-3), *slow((0.9, 1e-12))])
 def test_near_collisions_are_passed_on_the_right_side(eccentricity, tol):
     problem, exact, guess = comet(eccentricity)
     path = cg.solve(problem, tol=tol, guess=guess)
@@ -330,8 +330,8 @@ def test_a_tolerance_below_the_roundoff_floor_is_refused_before_a_mesh_is_refine
     assert len(caught.value.path.t) < 400  # it went up to 25,588
 
 
-@pytest.mark.parametrize("gap", [1e-2, 1e-8, *slow(1e-4, 1e-6, 1e-11)])
-@pytest.mark.parametrize("tol", [1e-6, *slow(1e-3, 1e-9)])
+@pytest.mark.parametrize("gap", [1e-2, 1e-8, *slow(1e-11)])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-9)])
 def test_no_lucky_estimate_is_accepted_near_a_conjugate_point(gap, tol):
     """At a gap of 1e-10 a tolerance of 1e-6 was missed by a factor of 5.7, by one noisy estimate of many."""
     problem = nearly_conjugate(gap)
@@ -344,7 +344,7 @@ def test_no_lucky_estimate_is_accepted_near_a_conjugate_point(gap, tol):
 
 
 @pytest.mark.parametrize("degree", [5, 8])
-@pytest.mark.parametrize("gap", [1e-9, *slow(1e-8, 1e-10)])
+@pytest.mark.parametrize("gap", [1e-9, *slow(1e-10)])
 def test_forces_move_a_nearly_conjugate_path_alike_in_two_degrees(gap, degree):
     """As far as rounding of the terms allows; that of the Hessian's entries makes a difference of 2e-2 at 1e-10."""
     graph = cg.transcribe(nearly_conjugate(gap), cg.Galerkin(degree), 13)
@@ -362,7 +362,7 @@ def test_a_path_from_a_center_where_the_mass_vanishes_is_that_of_its_bessel_func
     np.testing.assert_allclose(path(times)[0], exact(times), rtol=0, atol=tol * np.max(np.abs(path.x)))
 
 
-@pytest.mark.parametrize("tol", [1e-2, *slow(1e-1, 1e-4)])
+@pytest.mark.parametrize("tol", [1e-2, *slow(1e-4)])
 @pytest.mark.parametrize("stiffness", [6e-3, *slow(2e-3)])
 def test_a_mesh_too_coarse_to_see_that_a_path_is_undetermined_is_not_believed(stiffness, tol):
     """ε x'' = t x': exp(-1/2ε) ties the middle to the ends.  It was anything from 0 to 1, with estimates of 1e-5."""
@@ -373,7 +373,7 @@ def test_a_mesh_too_coarse_to_see_that_a_path_is_undetermined_is_not_believed(st
         cg.solve(turning, tol=tol)
 
 
-@pytest.mark.parametrize("tol", [1e-1, 1e-3, *slow(1e-2, 1e-4, 1e-6)])
+@pytest.mark.parametrize("tol", [1e-1, 1e-3, *slow(1e-6)])
 def test_a_path_that_is_barely_tied_is_found_where_doubles_tell_it(tol):
     """At ε = 0.03 it is exp(-17) that ties the middle, to the end that is nearer in the potential t²/2."""
     turning = cg.BoundaryProblem(
@@ -385,7 +385,7 @@ def test_a_path_that_is_barely_tied_is_found_where_doubles_tell_it(tol):
 
 
 @pytest.mark.parametrize("tol", [1e-2, *slow(1e-3)])
-@pytest.mark.parametrize(("width", "place"), [(0.05, 0.1), *slow((0.03, 0.2), (0.01, 0.4))])
+@pytest.mark.parametrize(("width", "place"), [(0.05, 0.1), *slow((0.01, 0.4))])
 def test_a_kink_that_no_tail_holds_is_not_pinned_by_the_mesh(width, place, tol):
     """Every place of it solves the equations in doubles; a mesh chooses one, and no Newton step there says so."""
     line = kink(1 / width)
@@ -423,7 +423,7 @@ def test_a_rule_with_points_on_a_named_jump_is_told_so():
     assert cg.solve(problem, cg.Galerkin(4, quadrature=cg.gauss(5)), tol=1e-12).error_estimate <= 1e-12
 
 
-@pytest.mark.parametrize(("named", "tol"), [(True, 1e-3), (False, 1e-3), *slow((True, 1e-9), (False, 1e-6))])
+@pytest.mark.parametrize(("named", "tol"), [(True, 1e-3), (False, 1e-3), *slow((False, 1e-6))])
 def test_a_pivot_moved_along_a_spline_is_followed_with_and_without_its_knots(named, tol):
     """A pendulum in Cartesian coordinates; the same one by its angle is the reference."""
     knots = np.arange(0.25, 3.0, 0.25)
@@ -453,7 +453,7 @@ def test_a_pivot_moved_along_a_spline_is_followed_with_and_without_its_knots(nam
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-6])
-@pytest.mark.parametrize("n", [2, *slow(1, 4)])
+@pytest.mark.parametrize("n", [2, *slow(4)])
 def test_a_path_from_the_center_of_a_ball_is_found_on_few_intervals(n, tol):
     """The mass tⁿ vanishes at the center, where rounding of the momentum over it is no energy."""
     ball = cg.BoundaryProblem(lambda t, x, v: t**n * (v[0] ** 2 / 2 + x[0]), (0, 1), [None], [0.0])

@@ -93,7 +93,7 @@ def test_graded_meshes_are_taken_over():
     )
 
 
-@pytest.mark.parametrize("unit", [1e-9, *slow(1.0, 1e9)])
+@pytest.mark.parametrize("unit", [1e-9, *slow(1e9)])
 def test_data_of_any_size_are_solved_to_roundoff(unit):
     f, path = solved(spring())
     x = f(start=[0.4 * unit], end=[unit], parameters=[1.0, RATE**2], guess=path.polynomial.values)["x"]
@@ -288,7 +288,7 @@ def test_without_a_solution_its_derivatives_are_nan(derivative):
     assert np.isnan(float(slope(3.6)))
 
 
-@pytest.mark.parametrize("rate", [3.6, *slow(3.514, 10.0)])
+@pytest.mark.parametrize("rate", [3.6, *slow(10.0)])
 def test_without_a_solution_every_output_is_nan(rate, capfd):
     f, path = solved(bratu_problem())
     result = f(start=[0], end=[0], parameters=[rate], guess=path.polynomial.values)
@@ -446,7 +446,7 @@ def test_the_error_of_a_path_whose_velocity_is_an_unknown_is_that_of_the_closed_
         assert path.estimate_error() < tol
 
 
-@pytest.mark.parametrize("unit", [1e-12, *slow(1.0, 1e12)])
+@pytest.mark.parametrize("unit", [1e-12, *slow(1e12)])
 def test_jacobian_beside_multipliers_has_any_unit_of_the_action(unit):
     """x = cos(√p t)/cos √p from rest to x(1) = 1, an end condition; in units of 1e12 QR took pivots for zero."""
     problem = cg.BoundaryProblem(
@@ -465,7 +465,7 @@ def test_jacobian_beside_multipliers_has_any_unit_of_the_action(unit):
     assert float(jacobian[0]) == pytest.approx(np.tan(root) / np.cos(root) / (2 * root), rel=1e-9)
 
 
-@pytest.mark.parametrize("angle", [0.0, *slow(1e-9, 0.5)])
+@pytest.mark.parametrize("angle", [0.0, *slow(0.5)])
 def test_function_of_a_pendulum_on_a_rod_may_be_built_at_rest(angle):
     """Its equations are scaled by terms that vanish there."""
 

@@ -74,7 +74,7 @@ def test_the_swings_of_the_pendulum_are_all_and_no_others(swings):
     assert euler_characteristic(swings) == 1
 
 
-@pytest.mark.parametrize("rate", [2.0, *slow(0.5, 3.5)])
+@pytest.mark.parametrize("rate", [2.0, *slow(3.5)])
 def test_both_paths_of_bratu_are_found(rate):
     found = cg.paths(cg.BoundaryProblem(bratu(rate), (0, 1), [0.0], [0.0]), cg.Galerkin(8), 16)
     assert found.solves <= SOLVES
@@ -263,7 +263,7 @@ def test_one_picture_shows_all(swings, geodesics):
         geodesics.plot(labels=["λ", "φ"])
 
 
-@pytest.mark.parametrize("load", [1.0, *slow(1e-9, 1e9)])
+@pytest.mark.parametrize("load", [1.0, *slow(1e9)])
 def test_a_load_leads_from_one_catenoid_to_the_other_and_back(load):
     transcription = cg.transcribe(cg.BoundaryProblem(catenoid, (-0.5, 0.5), [1.0], [1.0]), cg.Galerkin(8), 8)
     wide = transcription.critical_point()

@@ -77,7 +77,7 @@ def test_given_ends_determine_a_free_parameter_of_the_constraint():
     assert path.cost == pytest.approx(6 * (np.pi / 2) ** 2 / 8 + 0.2, rel=1e-9)
 
 
-@pytest.mark.parametrize("radius", [1.8, *slow(0.6, 1.0)])
+@pytest.mark.parametrize("radius", [1.8, *slow(1.0)])
 def test_a_path_is_held_to_the_parameters_that_are_found_not_to_their_guess(radius):
     """The control is the angular acceleration, whose effort does not depend on the radius: that is 0.9 m."""
     problem = of_free_radius(start=[0.0, None], end=[None, 0.0], parameters=[radius])

@@ -34,7 +34,7 @@ def test_cartesian_swing_up_is_that_in_angles(solver):
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
-@pytest.mark.parametrize("rounding", [np.sin(np.pi), *slow(-1e-17, 1e-30, 1e-12, 1e-8)])
+@pytest.mark.parametrize("rounding", [np.sin(np.pi), *slow(1e-8)])
 def test_an_end_beside_the_vertical_by_rounding_costs_what_the_vertical_does(rounding, solver):
     """The straight line moves x[0] by rounding alone, and fatrop never returned from equations measured by that."""
     path = cg.solve(cartesian_pendulum(end=[rounding, 1.0]), cg.Galerkin(4), 20, guess=guess, solver=solver)
@@ -43,7 +43,7 @@ def test_an_end_beside_the_vertical_by_rounding_costs_what_the_vertical_does(rou
     assert path.solver == f"{'IPOPT' if solver is cg.ipopt else 'fatrop'} (Solve Succeeded)"
 
 
-@pytest.mark.parametrize("degree", [2, *slow(1, 4)])
+@pytest.mark.parametrize("degree", [2, *slow(4)])
 @pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1)], ids=["gauss", "lobatto"])
 def test_order_is_twice_the_degree(degree, rule):
     meshes = {1: (20, 40, 80), 2: (10, 20, 40), 4: (8, 10, 12)}[degree]

@@ -52,7 +52,7 @@ def pushed_pendulum(length, time, mass):
     )
 
 
-@pytest.mark.parametrize(("length", "time", "mass"), [(1.0, 1e3, 1e-6), *slow((1e-3, 1e3, 1e-6), (1e3, 1e3, 1e-6))])
+@pytest.mark.parametrize(("length", "time", "mass"), [(1.0, 1e3, 1e-6), *slow((1e3, 1e3, 1e-6))])
 def test_a_cost_too_small_for_the_solver_is_right_or_told(length, time, mass):
     """IPOPT may call the first path that meets the ends an optimum: its cost is 8.5 to 75 times too high."""
     problem = pushed_pendulum(length, time, mass)
@@ -86,7 +86,7 @@ def test_what_units_of_time_may_do_is_said(name):
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop])
-@pytest.mark.parametrize("scale", [1e-6, *slow(1e-4, 1e-8, 1e-10)])
+@pytest.mark.parametrize("scale", [1e-6, *slow(1e-10)])
 def test_the_change_of_the_cost_that_is_told_bounds_its_error(solver, scale):
     def task(factor):
         return double_integrator(
@@ -109,7 +109,7 @@ def test_an_optimum_is_found_in_units_near_one(length):
     assert there.cost == pytest.approx(length**2 * here.cost, rel=1e-9)
 
 
-@pytest.mark.parametrize("intervals", [3, *slow(6, 9, 12)])
+@pytest.mark.parametrize("intervals", [3, *slow(12)])
 def test_a_ball_may_bounce_off_the_floor_that_bounds_it(intervals):
     """IPOPT leaves positions of -1e-53 there."""
     floor = {"waypoints": [(1.0, [0.0])], "jumps": [(1.0, lambda x, v: (x, -0.8 * v))], "duration_bounds": (0.1, 5.0)}

@@ -340,7 +340,7 @@ def with_price(price):
     return double_integrator(running_cost=lambda t, x, v, u: price * u[0] ** 2, control_bounds=(-5.0, 5.0))
 
 
-@pytest.mark.parametrize("price", [5e-10, *slow(5e-14, 1e6)])
+@pytest.mark.parametrize("price", [5e-10, *slow(1e6)])
 def test_the_unit_of_the_cost_changes_nothing(price):
     """The solver's tolerances are absolute: from an earlier path a small cost is measured in its own size."""
     path, alike = cg.solve(with_price(price), tol=1e-5), cg.solve(with_price(1.0), tol=1e-8)
@@ -521,7 +521,7 @@ def test_bad_arguments_are_named():
         cg.solve(double_integrator(), intervals=4)
 
 
-@pytest.mark.parametrize("breakpoints", [(1.5, 4.5), *slow([], [3.0])])
+@pytest.mark.parametrize("breakpoints", [(1.5, 4.5), *slow([3.0])])
 def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
     """Its breakpoints were taken for those of the mesh: refused where their number differs, else the mesh is skewed."""
     guess = cg.solve(double_integrator(t_span=(0.0, 6.0), breakpoints=breakpoints), cg.Galerkin(3), 6)

@@ -46,8 +46,8 @@ def test_a_line_over_a_hill_is_a_saddle_in_every_direction_across(across, solver
     assert f"a saddle of Morse index {across}" in repr(path)
 
 
-@pytest.mark.parametrize("duration", [1.1, *slow(2.1556, 3.7)])
-@pytest.mark.parametrize("length", [1e-2, *slow(1.0, 1e-4)])
+@pytest.mark.parametrize("duration", [1.1, *slow(3.7)])
+@pytest.mark.parametrize("length", [1e-2, *slow(1e-4)])
 def test_the_shortest_way_to_a_circle_is_a_minimum_in_any_unit(length, duration):
     """The component across it is zero, and so are its momenta, whose unit is that of the others."""
     problem = plane(
@@ -79,7 +79,7 @@ def test_units_change_nothing(length, price, unit):
     assert cg.solve(over_a_hill(1, length=length, price=price, unit=unit), METHOD, 12).morse_index == 1
 
 
-@pytest.mark.parametrize("length", [1e-6, *slow(1.0, 1e6)])
+@pytest.mark.parametrize("length", [1e-6, *slow(1e6)])
 @pytest.mark.parametrize("below", [0, 1, *slow(2)])
 @pytest.mark.parametrize("side", [0.99, 1.01])
 def test_rest_is_a_saddle_from_the_eigenvalues_of_a_clamped_beam_on(below, side, length):
@@ -121,12 +121,12 @@ def pendulum_with_breakpoints():
     )
 
 
-@pytest.mark.parametrize("intervals", [9, *slow(6, 12, 20, 40)])
+@pytest.mark.parametrize("intervals", [9, *slow(40)])
 def test_a_breakpoint_that_may_be_anywhere_makes_no_saddle(intervals):
     assert cg.solve(pendulum_with_breakpoints(), METHOD, intervals).morse_index == 0
 
 
-@pytest.mark.parametrize(("unit", "price"), [(1e-3, 1.0), *slow((1.0, 1.0), (1e6, 1e-14))])
+@pytest.mark.parametrize(("unit", "price"), [(1e-3, 1.0), *slow((1e6, 1e-14))])
 def test_bounds_that_are_met_hold_what_would_lower_the_cost(unit, price):
     """In any units: the product of a distance and its multiplier is what a solver keeps small."""
     path = cg.solve(
@@ -162,12 +162,12 @@ def test_a_pickled_path_still_tells():
     assert path.regularity is None
 
 
-@pytest.mark.parametrize("intervals", [4, *slow(8, 12)])
+@pytest.mark.parametrize("intervals", [4, *slow(12)])
 def test_without_a_cost_there_is_no_saddle(intervals):
     assert cg.solve(pendulum(2.0, running_cost=None), METHOD, intervals).morse_index == 0
 
 
-@pytest.mark.parametrize("added", [1e-9, *slow(0.0, 1e-12, 1e-3)])
+@pytest.mark.parametrize("added", [1e-9, *slow(1e-3)])
 def test_a_convex_cost_whose_terms_cancel_has_a_minimum(added):
     """The least ∫ (u² - x²/4)/2 over the time π is zero, and convex up to the time 2 π."""
     falling = first_order(
@@ -178,7 +178,7 @@ def test_a_convex_cost_whose_terms_cancel_has_a_minimum(added):
     assert path.morse_index == 0
 
 
-@pytest.mark.parametrize("duration", [2.0, *slow(1.0, 3.0)])
+@pytest.mark.parametrize("duration", [2.0, *slow(3.0)])
 @pytest.mark.parametrize("cost_tol", [1e-4, *slow(1e-5)])
 def test_controls_near_their_bounds_beside_a_switch_make_no_saddle(duration, cost_tol):
     """Jackson's mixing of two catalysts, whose optimum is bang-singular-bang; up to four directions were counted."""

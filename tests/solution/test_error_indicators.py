@@ -38,7 +38,7 @@ def end_of_fall(velocity):
         x, v, left, side = 0.0, v - side * 10 * until_zero, left - until_zero, -side
 
 
-@pytest.mark.parametrize("tol", [1e-6, *slow(1e-3, 1e-9)])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-9)])
 def test_a_kink_in_x_is_found_and_resolved(tol):
     """The estimate alone was 2.9e-15 at 1e-9, with a true error of 4e-5."""
     try:
@@ -52,7 +52,7 @@ def test_a_kink_in_x_is_found_and_resolved(tol):
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-6])
-@pytest.mark.parametrize("when", [1.1, *slow(0.3333, 0.777, 1.49)])
+@pytest.mark.parametrize("when", [1.1, *slow(1.49)])
 def test_a_kink_in_time_is_resolved(when, tol):
     problem = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 + 50 * x[0] * ca.fmax(t - when, 0), (0, 2), [1.0], [-0.5]
@@ -70,8 +70,8 @@ def stepped(when, **given):
     )
 
 
-@pytest.mark.parametrize("tol", [1e-3, *slow(1e-6, 1e-8)])
-@pytest.mark.parametrize("when", [1.1, *slow(0.02, 0.9, 1.7)])
+@pytest.mark.parametrize("tol", [1e-3, *slow(1e-8)])
+@pytest.mark.parametrize("when", [1.1, *slow(1.7)])
 def test_a_step_in_time_is_enclosed_by_an_interval_that_cannot_matter(when, tol):
     path, known = cg.solve(stepped(when), tol=tol), cg.solve(stepped(when, breakpoints=[when]), tol=1e-12)
     times = np.linspace(0, 2, 1001)
@@ -81,7 +81,7 @@ def test_a_step_in_time_is_enclosed_by_an_interval_that_cannot_matter(when, tol)
     assert path.t[i] - path.t[i - 1] < tol
 
 
-@pytest.mark.parametrize("when", [1.7, *slow(0.9, 1.1)])
+@pytest.mark.parametrize("when", [1.7, *slow(1.1)])
 def test_a_step_in_time_is_refused_with_its_time(when):
     with pytest.raises(cg.LimitReached, match=r"near t = .*breakpoint") as caught:
         cg.solve(stepped(when), tol=1e-12)
@@ -122,10 +122,6 @@ def test_a_step_in_time_that_is_named_is_resolved(before, when, tol):
     [
         (0.3, -0.7, 1.5, 1e-3, 0.0),
         *slow(
-            (0.5, -0.5, 1.0, 1e-2, 0.0),
-            (0.5, -0.5, 1.0, 1e-3, 1e-14),
-            (1.4456578, -1.4456578, 1.4480336, 3e-3, 1e-12),
-            (1.0, -2.0, 3.0, 1e-3, -3e-13),
             (1.0, -2.0, 3.0, 1e-9, 0.0),
         ),
     ],
@@ -151,7 +147,7 @@ def test_no_path_through_the_sun_is_returned(start, end, duration, tol, beside):
     assert np.max(np.abs(around(times) - flown.sol(times)[:2])) < 10 * tol
 
 
-@pytest.mark.parametrize("degree", [1, 4, *slow(2, 5, 8, 11, 14)])
+@pytest.mark.parametrize("degree", [1, 4, *slow(14)])
 @pytest.mark.parametrize("power", [2 / 3, 1.0, 2.0])
 def test_no_pole_hides_between_points(degree, power):
     """A pole is alike on every scale, so one interval tells what is missed on any mesh, wherever the pole is in it."""
@@ -175,7 +171,7 @@ def test_rounding_hides_no_miss_beside_a_softened_pole(beside):
     assert path.velocity[0, 0] == pytest.approx(0.3432063025, abs=1e-8)  # by quadrature of the energy
 
 
-@pytest.mark.parametrize(("duration", "tol"), [(1.0, 1e-4), *slow((0.5, 1e-9), (2.0, 1e-9))])
+@pytest.mark.parametrize(("duration", "tol"), [(1.0, 1e-4), *slow((2.0, 1e-9))])
 def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
     """Nothing passes the pole of the attraction 1/x²; paths over it were returned, with estimates below these."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + 1 / ca.fabs(x[0]), (0, duration), [1.0], [-1.0])
@@ -183,7 +179,7 @@ def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
         cg.solve(problem, tol=tol, limits=cg.Limits(seconds=5))
 
 
-@pytest.mark.parametrize("tol", [1e-6, *slow(1e-3, 1e-9)])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-9)])
 @pytest.mark.parametrize("name", SMOOTH)
 def test_nothing_is_said_against_a_smooth_path(name, tol):
     scene = BY_NAME[name]

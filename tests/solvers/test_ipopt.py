@@ -26,7 +26,7 @@ def test_minimizing_past_the_conjugate_point_fails_while_the_path_exists():
     assert cg.solve(problem, cg.Galerkin(4), intervals=10).morse_index == 1
 
 
-@pytest.mark.parametrize(("T", "end"), [(10, 3.0), *slow((15, 6.0), (20, 10.0), (50, 3.0))])
+@pytest.mark.parametrize(("T", "end"), [(10, 3.0), *slow((50, 3.0))])
 def test_large_swings_are_rescued_and_the_report_says_so(T, end):
     path = cg.solve(cg.BoundaryProblem(pendulum, (0, T), [0.0], [end]), cg.Galerkin(4), intervals=4 * T)
     assert path.solver == "IPOPT on the action, then Newton"

@@ -172,7 +172,7 @@ HOW = [{"method": cg.Galerkin(4), "intervals": 5}, {"tol": 1e-9}]
 
 
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
-@pytest.mark.parametrize(("magnetic", "electric"), [(0.3, 0.21), *slow((1.0, 1.0), (2.1, 0.9))])
+@pytest.mark.parametrize(("magnetic", "electric"), [(0.3, 0.21), *slow((2.1, 0.9))])
 def test_a_component_whose_forces_cancel_is_zero(magnetic, electric, how):
     """A velocity filter: the line through crossed fields is straight, and rounding is all that is beside it."""
     problem = cg.BoundaryProblem(
@@ -187,7 +187,7 @@ def test_a_component_whose_forces_cancel_is_zero(magnetic, electric, how):
 
 
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
-@pytest.mark.parametrize(("mass", "stiffness"), [(1.7, 11.0), *slow((0.3, 53.0), (2.3, 110.0))])
+@pytest.mark.parametrize(("mass", "stiffness"), [(1.7, 11.0), *slow((2.3, 110.0))])
 def test_rest_at_the_origin_is_found_where_constants_cancel(mass, stiffness, how):
     """A weight on a spring, x counted from where it hangs: nothing but rounding is left of both forces.
 
@@ -217,7 +217,7 @@ def test_a_kink_is_not_taken_for_rounding(place, pull):
 
 
 @pytest.mark.parametrize("how", [HOW[0], {"tol": 1e-4}], ids=["mesh", "tol"])
-@pytest.mark.parametrize(("duration", "end"), [(2.0, None), *slow((4.0, None), (1.5, 0.0))])
+@pytest.mark.parametrize(("duration", "end"), [(2.0, None), *slow((1.5, 0.0))])
 def test_a_kink_at_zero_does_not_hold_what_is_pulled_away(duration, end, how):
     """Where a zero was rounded as a number of size one, the whole kink counted as rounding."""
 
@@ -329,7 +329,7 @@ SYMMETRIC = {  # L, and how many components besides the first are zero by symmet
 
 
 @pytest.mark.parametrize("how", [HOW[0], *slow(HOW[1])], ids=["mesh", "tol"])
-@pytest.mark.parametrize("beside", [1e-3, *slow(1e-12, 0.3)])
+@pytest.mark.parametrize("beside", [1e-3, *slow(0.3)])
 @pytest.mark.parametrize("name", SYMMETRIC)
 def test_a_component_is_exactly_zero_where_its_guess_is_not(name, beside, how):
     """What rounding left of it counted by its own size: 200 iterations, no path, or another one far away."""
@@ -342,8 +342,8 @@ def test_a_component_is_exactly_zero_where_its_guess_is_not(name, beside, how):
     np.testing.assert_allclose(path(np.linspace(0, 1, 9)), straight(np.linspace(0, 1, 9)), rtol=1e-9, atol=0)
 
 
-@pytest.mark.parametrize("tol", [1e-6, *slow(1e-4, 1e-10)])
-@pytest.mark.parametrize("beside", [1e-6, *slow(1e-13, 1e-9)])
+@pytest.mark.parametrize("tol", [1e-6, *slow(1e-10)])
+@pytest.mark.parametrize("beside", [1e-6, *slow(1e-9)])
 def test_a_small_component_is_as_accurate_as_its_estimate_where_terms_of_others_cancel(beside, tol):
     """The derivatives of L by it are differences of sines: their rounding hides some of its digits."""
     ends = [1.0, beside], [0.5, 1.3 * beside]

@@ -28,7 +28,7 @@ def test_morse_index_is_the_inertia_of_the_dense_hessian(name):
     assert np.count_nonzero(np.linalg.eigvalsh(hessian) < 0) == path.morse_index
 
 
-@pytest.mark.parametrize(("angle", "tol"), [(3.1, 1e-7), *slow((3.12, 1e-9), (3.13, 1e-11))])
+@pytest.mark.parametrize(("angle", "tol"), [(3.1, 1e-7), *slow((3.13, 1e-11))])
 def test_a_shortest_line_of_the_hyperbolic_plane_is_a_minimum(angle, tol):
     """A circle, nearly upright at its start, where as many points as the degree made it a saddle of index 1 to 4."""
 
@@ -113,7 +113,7 @@ def test_conjugate_ends_are_named(degree, intervals):
 
 
 @pytest.mark.parametrize("offset", [-1e-6, 1e-6])
-@pytest.mark.parametrize(("degree", "intervals"), [(6, 10), *slow((4, 50), (12, 5))])
+@pytest.mark.parametrize(("degree", "intervals"), [(6, 10), *slow((12, 5))])
 def test_nearly_conjugate_ends_are_solved(degree, intervals, offset):
     T = np.pi + offset
     path = cg.solve(cg.BoundaryProblem(oscillator, (0, T), [0.0], [1.0]), cg.Galerkin(degree), intervals=intervals)
@@ -236,7 +236,7 @@ def test_a_component_that_a_symmetry_leaves_free_is_named():
         cg.solve(problem, cg.Galerkin(3), intervals=4)
 
 
-@pytest.mark.parametrize(("degree", "intervals"), [(10, 10), *slow((5, 26), (12, 26))])
+@pytest.mark.parametrize(("degree", "intervals"), [(10, 10), *slow((12, 26))])
 def test_a_free_component_that_enters_by_its_velocity_alone_is_named(degree, intervals):
     """The smallest pivot is roundoff and no terms of the second variation cancel, so neither shows a family."""
     problem = cg.BoundaryProblem(

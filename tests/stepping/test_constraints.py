@@ -211,7 +211,7 @@ def test_control_points_that_lose_the_order_are_refused():
 
 
 @pytest.mark.parametrize("unit", [1e-9, *slow(1e9)])
-@pytest.mark.parametrize("degree", [3, *slow(1, 10)])
+@pytest.mark.parametrize("degree", [3, *slow(10)])
 @pytest.mark.parametrize(
     ("start", "velocity"),
     [([0.6, 0.0, -0.8], [0.0, 0.0, 0.0]), ([0.0, 0.0, -1.0], [0.0, 1.0, 0.0]), ([0.0, 0.0, -1.0], [0.0, 0.0, 0.0])],
@@ -268,7 +268,7 @@ def test_forces_do_not_move_what_is_held_at_zero(lagrangian, speed, degree):
     assert path.estimate_error() < 1e-6
 
 
-@pytest.mark.parametrize("degree", [3, *slow(6, 8)])
+@pytest.mark.parametrize("degree", [3, *slow(8)])
 @pytest.mark.parametrize("side", [-1.0, 1.0], ids=["hanging", "upright"])
 def test_the_steps_of_a_pendulum_at_rest_are_symplectic(side, degree):
     problem = cg.InitialProblem(planar, (0, 2), [0.0, side], velocity=[0.0, 0.0], constraint=unit_length)
@@ -287,7 +287,7 @@ def test_a_component_that_leaves_its_rest_is_not_taken_for_rounding(step):
     assert path.x[1, -1] == pytest.approx(force * (8 * step) ** 2 / 2, rel=1e-3, abs=0)
 
 
-@pytest.mark.parametrize("degree", [4, *slow(2, 8)])
+@pytest.mark.parametrize("degree", [4, *slow(8)])
 @pytest.mark.parametrize("side", [-1.0, 1.0], ids=["hanging", "upright"])
 def test_a_pendulum_at_rest_with_a_free_end_is_shot(side, degree):
     """The momentum of the end is rounding of the impulses that hold the weight."""
@@ -328,7 +328,7 @@ STARTS_WITH_RESTING_COMPONENTS = {  # position, velocity, constraint
 
 
 @pytest.mark.parametrize("degree", [4, *slow(1)])
-@pytest.mark.parametrize("step", [1e-2, *slow(5e-2, 1e-4)])
+@pytest.mark.parametrize("step", [1e-2, *slow(1e-4)])
 @pytest.mark.parametrize("name", STARTS_WITH_RESTING_COMPONENTS)
 def test_steps_of_any_length_leave_a_rest(name, step, degree):
     """The first Newton steps say little of the next ones: they are as large as what moves, or as what does not."""

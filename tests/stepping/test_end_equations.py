@@ -260,7 +260,7 @@ def shot_along_the_circle(speed):
     return cg.shoot(wanted, METHOD, INTERVALS, guess=cg.solve(begun, METHOD, INTERVALS)), end
 
 
-@pytest.mark.parametrize("speed", [1.0, *slow(-0.2, 3.8, 4.2)])
+@pytest.mark.parametrize("speed", [1.0, *slow(4.2)])
 def test_newtons_method_leads_away_from_the_antipode(speed):
     path, end = shot_along_the_circle(speed)
     np.testing.assert_allclose(path.x[:, -1], end, rtol=0, atol=CLOSED)

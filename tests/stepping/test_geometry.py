@@ -74,7 +74,7 @@ def test_steps_on_a_constraint_are_symplectic_between_its_tangents(name):
 
 
 @pytest.mark.parametrize("length", [1e-9, *slow(1e9)])
-@pytest.mark.parametrize("mass", [1e9, *slow(1e-9, 1.0)])
+@pytest.mark.parametrize("mass", [1e9, *slow(1.0)])
 def test_steps_are_symplectic_in_any_units(length, mass):
     orbit = cg.InitialProblem(
         lambda t, x, v: mass * kepler(t, x / length, v / length), (0, 5), [length, 0], velocity=[0, 1.1 * length]

@@ -41,7 +41,7 @@ def shot_and_solved(problem, method, mesh, guess=None):
 # from one end to the other
 
 
-@pytest.mark.parametrize("eccentricity", [0.5, *slow(0.1, 0.9)])
+@pytest.mark.parametrize("eccentricity", [0.5, *slow(0.9)])
 def test_half_an_ellipse_of_given_energy_takes_half_of_keplers_period(eccentricity):
     mesh = of_anomaly(eccentricity, np.linspace(0, np.pi, 25))[1] * 0.98  # the duration is a guess
     problem = cg.BoundaryProblem(kepler, (0, mesh[-1]), [1 - eccentricity, 0.0], [None, 0.0], energy=-0.5)
@@ -116,7 +116,7 @@ def test_units_and_rules_change_nothing(action, length, time, rule):
 # periodic
 
 
-@pytest.mark.parametrize("amplitude", [1.0, *slow(0.3, 2.5)])
+@pytest.mark.parametrize("amplitude", [1.0, *slow(2.5)])
 def test_a_libration_has_the_period_of_its_elliptic_integral(amplitude):
     problem = cg.BoundaryProblem(pendulum, (0, 7.0), [None], periodic=True, energy=-np.cos(amplitude))
     turning = lambda t: [amplitude * np.sin(2 * np.pi * t / 7 + 0.3)]  # noqa: E731
@@ -238,7 +238,7 @@ def test_a_periodic_path_of_given_energy_needs_a_guess_that_moves_at_its_start()
         cg.shoot(problem, METHOD, 8)
 
 
-@pytest.mark.parametrize("length", [1e-10, *slow(1.0, 1e8)])
+@pytest.mark.parametrize("length", [1e-10, *slow(1e8)])
 @pytest.mark.parametrize("intervals", [4, 40])
 def test_a_given_energy_is_met_on_a_circle_of_any_length(length, intervals):
     """The stretch of the steps is near 1, whatever the unit of length; it says nothing of the size of a step."""

@@ -110,7 +110,7 @@ def test_a_saddle_costs_the_digits_that_its_growth_says():
     assert 1e-14 < error < np.exp(16) * 2.3e-16  # e^16 eps = 2e-9
 
 
-@pytest.mark.parametrize("horizon", [10, *slow(5, 17)])
+@pytest.mark.parametrize("horizon", [10, *slow(17)])
 def test_residual_holds_the_miss_over_what_rounding_becomes_at_the_end(horizon):
     """Rounding x_i by eps moves the end by eps cosh(T - t_i), p_i by eps sinh(T - t_i)."""
     problem = cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0])
@@ -163,7 +163,7 @@ def test_newtons_method_goes_on_to_the_rounding_of_start_and_end(degree):
     np.testing.assert_allclose(shot.x, whole.x, rtol=0, atol=2e-12)
 
 
-@pytest.mark.parametrize("horizon", [200, *slow(30, 700)])
+@pytest.mark.parametrize("horizon", [200, *slow(700)])
 def test_a_failure_tells_the_growth_and_holds_the_last_path_and_its_residual(horizon):
     problem = cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0])
     growth = f"{np.cosh(horizon):.1e}".replace("+", r"\+")
@@ -187,7 +187,7 @@ def test_one_of_a_family_of_paths_is_refused_though_the_first_meets_the_end(dura
 
 
 @pytest.mark.parametrize("intervals", [3, *slow(8)])
-@pytest.mark.parametrize("degree", [2, *slow(4, 5, 8)])
+@pytest.mark.parametrize("degree", [2, *slow(8)])
 def test_a_weight_on_a_spring_with_free_ends_hangs_at_rest(degree, intervals):
     """Spring and weight cancel, and the momentum that the end is judged by is their rounding."""
     problem = cg.BoundaryProblem(
@@ -247,7 +247,7 @@ def test_an_unknown_velocity_at_an_end_begins_as_that_of_the_guess():
 
 
 @pytest.mark.parametrize("intervals", [7, *slow(40)])
-@pytest.mark.parametrize("beside", [1e-6, *slow(1e-12, 1e-3)])
+@pytest.mark.parametrize("beside", [1e-6, *slow(1e-3)])
 def test_a_start_beside_a_straight_path_comes_to_it(beside, intervals):
     """What rounding left of the momentum beside it counted by its own size: conjugate ends, or no convergence."""
 
@@ -261,7 +261,7 @@ def test_a_start_beside_a_straight_path_comes_to_it(beside, intervals):
     np.testing.assert_allclose(path.x, straight.x, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("before", [1e-2, *slow(0.1, 1e-4)])
+@pytest.mark.parametrize("before", [1e-2, *slow(1e-4)])
 def test_the_estimate_counts_the_error_of_the_start_that_grows_towards_a_conjugate_point(before):
     duration = np.pi - before
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, duration), [0.0], [1.0])

@@ -13,7 +13,7 @@ SAME = 1e-13  # two ways of solving the same equations, relative to the path's s
 
 
 @pytest.mark.parametrize("scene", MOTIONS)
-@pytest.mark.parametrize("degree", [4, *slow(1, 8)])
+@pytest.mark.parametrize("degree", [4, *slow(8)])
 def test_steps_are_the_global_solution_between_the_same_ends(scene, degree):
     problem, method = start_of(scene, 4), cg.Galerkin(degree)
     stepped = cg.solve(problem, method, intervals=4)
@@ -80,7 +80,7 @@ def test_any_number_of_steps_is_the_same_as_one_after_the_other(intervals):
     assert whole.polynomial.values[0, ::3].tolist() == whole.x[0].tolist()
 
 
-@pytest.mark.parametrize("frequency", [1.0, 1e8, *slow(1e-8, 1e4)])
+@pytest.mark.parametrize("frequency", [1.0, 1e8, *slow(1e4)])
 def test_steps_of_any_stiffness_are_stable(frequency):
     problem = cg.InitialProblem(
         lambda t, x, v: v[0] ** 2 / 2 - frequency**2 * x[0] ** 2 / 2, (0, 100), [1.0], velocity=[0.0]

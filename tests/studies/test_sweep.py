@@ -190,7 +190,7 @@ def test_variations_on_another_branch_are_told():
     )
 
 
-@pytest.mark.parametrize("step", [0.1, *slow(1.0, 5.0)])
+@pytest.mark.parametrize("step", [0.1, *slow(5.0)])
 def test_another_branch_is_told_where_the_action_changes_much_along_both(step):
     """The potential is counted from another zero, which changes all actions alike."""
     problem = cg.BoundaryProblem(
@@ -402,7 +402,7 @@ def test_a_process_pool_takes_ends_spans_guesses_and_tolerances(pool):
     identical(cg.sweep(bratu_problem(), variations, tol=1e-6, executor=pool), here)
 
 
-@pytest.mark.parametrize("count", [1, 65, *slow(63, 64, 200, 3300)])
+@pytest.mark.parametrize("count", [1, 65, *slow(3300)])
 def test_chunks_hold_everything_once_whatever_the_order_in_which_they_are_solved(count, monkeypatch):
     monkeypatch.setattr(PARALLEL, "_unpickled", lambda _: lambda variation, known: variation["parameters"][0])
     executor = Recorder()
@@ -441,17 +441,6 @@ def two_chunks(monkeypatch):
     monkeypatch.setattr(PARALLEL, "CHUNKS", 2)
 
 
-@pytest.mark.usefixtures("two_chunks")
-@pytest.mark.slow
-def test_a_worker_that_dies_costs_the_answer_of_its_variation_only(serial):
-    variations = [*VARIATIONS[:2], {"guess": deadly}, *VARIATIONS[2:]]
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        sweep = cg.sweep(bratu_problem(), variations, METHOD, INTERVALS, executor=pool)
-    assert isinstance(sweep[2], cg.CutShort)
-    assert str(sweep[2]).startswith("the worker that solved this variation failed, BrokenProcessPool: ")
-    identical([*sweep[:2], *sweep[3:]], serial)
-
-
 @pytest.mark.slow
 def test_what_a_dead_worker_leaves_stays_on_the_branch_of_its_neighbors():
     """From the straight line, some of these swings of a pendulum end on other branches."""
@@ -464,6 +453,8 @@ def test_what_a_dead_worker_leaves_stays_on_the_branch_of_its_neighbors():
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         sweep = cg.sweep(problem, variations, tol=1e-7, executor=pool)
     assert list(sweep.failures) == [center]
+    assert isinstance(sweep[center], cg.CutShort)
+    assert str(sweep[center]).startswith("the worker that solved this variation failed, BrokenProcessPool: ")
     others = [i for i in range(30) if i != center]
     np.testing.assert_allclose(sweep.action[others], here.action[others], rtol=1e-6)
 
