@@ -26,7 +26,7 @@ from casadi_galerkin.boundary.several_paths import (
 from casadi_galerkin.boundary.transcription import GraphCache, Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
-from casadi_galerkin.calculus.numbers import checked_index, counted, number, whole_number
+from casadi_galerkin.calculus.numbers import counted, number, whole_number
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
@@ -34,7 +34,8 @@ from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.orbit_phase import refuse_free_phase
-from casadi_galerkin.solution.plotting import Pictured, plot_family
+from casadi_galerkin.solution.path import plot_component
+from casadi_galerkin.solution.plotting import Pictured
 from casadi_galerkin.solution.quantity import Quantity, check_asked
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
 from casadi_galerkin.solvers.solver import newton
@@ -105,10 +106,8 @@ class Paths(Pictured):
         labels : name of the component with its unit
         time : name of the time with its unit
         """
-        checked_index("component", component, len(self[0].x))
-        drawn = [(f"action {path.action:.6g}, {index_in_words(path)}", path._line()) for path in self]
-        lines = [(name, times, values[component]) for name, (times, values) in drawn]
-        return plot_family(lines, axes, f"x[{component}]" if labels is None else labels, time)
+        named = [(f"action {path.action:.6g}, {index_in_words(path)}", path) for path in self]
+        return plot_component(named, component, axes, labels, time)
 
     def __repr__(self) -> str:
         """Tabulate the paths, and say how many were dropped and why the search ended."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.numbers import counted, finite, real_array, spanned, whole, whole_number
+from casadi_galerkin.calculus.numbers import checked_index, counted, finite, real_array, spanned, whole, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_within
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import (
@@ -23,7 +23,7 @@ from casadi_galerkin.solution.export import (
     write_csv,
     write_npz,
 )
-from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, plot_poses
+from casadi_galerkin.solution.plotting import Pictured, plot_family, plot_path, plot_plane, plot_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -221,6 +221,17 @@ def load(file: File) -> Path | tuple[Path, ControlPath]:
         raise ValueError(f"{file} holds no path; only to_npz of a path writes one, and not that of other results")
     path = Path(PiecewisePolynomial(**arrays["polynomial"]))
     return (path, ControlPath(**arrays["control"])) if arrays["control"] else path
+
+
+def plot_component(
+    paths: Sequence[tuple[str, Path]], component: int, axes: Axes | None, labels: Sequence[str] | None, time: str
+) -> Axes:
+    """Draw one component of several paths, given with their names."""
+    lines = []
+    for name, path in paths:
+        times, values = path._line()
+        lines.append((name, times, values[checked_index("component", component, len(values))]))
+    return plot_family(lines, axes, f"x[{component}]" if labels is None else labels, time)
 
 
 def of_parts(kind: str, given: Mapping[str, Any], names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.neighboring_problems import jumps
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
-from casadi_galerkin.calculus.numbers import checked_index, counted
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import VARIED, check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, File, Table, by_component
-from casadi_galerkin.solution.plotting import Pictured, plot_family
+from casadi_galerkin.solution.path import plot_component
+from casadi_galerkin.solution.plotting import Pictured
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.quantity import Quantity, check_asked
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -152,11 +153,8 @@ class Sweep(Table, Pictured):
         labels : name of the component with its unit
         time : name of the time with its unit
         """
-        lines = []
-        for i, path in self._paths.items():
-            times, values = path._line()
-            lines.append((f"variation {i}", times, values[checked_index("component", component, len(values))]))
-        return plot_family(lines, axes, f"x[{component}]" if labels is None else labels, time)
+        named = [(f"variation {i}", path) for i, path in self._paths.items()]
+        return plot_component(named, component, axes, labels, time)
 
     @cached_property
     def jumps(self) -> dict[int, int]:
