@@ -136,8 +136,8 @@ def solve(
         the joints; an earlier answer, or what `load` has read of it.  For a ControlProblem also a pair (path, controls)
         of one of these, or None, and a callable t -> n numbers.  For Phases one of all this for all of them, or a list
         with one for each.  `Transcription.solve` and `ControlTranscription.solve` have all forms
-    solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt (the default) or
-        fatrop for a ControlProblem; each also ``.with_options(...)``
+    solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt (the default), fatrop
+        or sqp for a ControlProblem; each also ``.with_options(...)``
     limits : Limits that stop a refinement, by default after 120 s; only with a tolerance
     starts : how often to solve a ControlProblem, from `guess` first and then from random paths, always the same ones;
         the cheapest optimum is returned, and its `solver` says how many were met.  With a tolerance all are solved
@@ -369,7 +369,7 @@ def solution_function(
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     guess : for the first solve, as for `Transcription.solve` and `ControlTranscription.solve`
-    solver : for a ControlProblem ipopt, the default, or fatrop; for a BoundaryProblem it is left out
+    solver : for a ControlProblem ipopt, the default, fatrop or sqp; for a BoundaryProblem it is left out
 
     Returns
     -------

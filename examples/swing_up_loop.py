@@ -62,7 +62,7 @@ def main(seed=1):
     for k in range(COUNT):
         state[3] += KNOCK * (k == KNOCKED)
         measured = state + NOISE * rng.standard_normal(4)
-        plan = planner.solve(start=measured[:2], start_velocity=measured[2:], guess=plan)
+        plan = planner.solve(start=measured[:2], start_velocity=measured[2:], guess=plan, solver=cg.sqp)
         force = plan.control(SAMPLE / 2)[0]
         state = np.array(system(x0=state, u=force)["xf"]).ravel()
         states.append(state.copy())

@@ -28,7 +28,7 @@ from casadi_galerkin.control.control_answer import OptimalPoint, answer
 from casadi_galerkin.control.control_graph import graph_of, meshes_of, phases_of
 from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
 from casadi_galerkin.control.initial_guess import first_values, guesses_of_phases, near_answer
-from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
+from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt, with_sqp
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import LONGER_DURATION, first_found
@@ -43,12 +43,12 @@ from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTraj
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
+from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt, sqp
 
 LARGEST_TERMS_RATIO = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
 LEAST_TERMS = 1e-5  # part of the largest terms on the straight line below which those of a component do not count
 SHORTEST_STEP = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
-SOLVER_NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
+SOLVER_NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop", sqp.name: "SQP"}
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,8 @@ class ControlTranscription:
             is found from a guess, the straight line is tried
         mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
             that, four times this, or what its bounds allow
-        solver : ipopt or fatrop, with or without options
+        solver : ipopt, fatrop or sqp, with or without options; sqp for warm starts, in place of which others are
+            ipopt's
         verbose : 1 prints a summary, 2 also the solver's own output
 
         Raises
@@ -180,10 +181,11 @@ class ControlTranscription:
 
         def attempt(by: Solver, at: Guess | None, longer: float = 1.0) -> Any:
             begun = self.starting_point(problem, calculus, at, longer)
+            by = ipopt if by.name == sqp.name and not begun.duals else by  # it is for warm starts
             return self._solved(by, problem, calculus, begun, verbose, began)
 
         attempts, other = [("from the guess", partial(attempt, solver, guess))], solver
-        if solver.name == fatrop.name:  # which stalls more easily
+        if solver.name != ipopt.name:  # others stall more easily
             other = ipopt
             attempts.append(("from the same start", partial(attempt, other, guess)))
         known = isinstance(guess, (ControlTrajectory, PhasesTrajectory))
@@ -322,6 +324,8 @@ class ControlTranscription:
         if solver.name == fatrop.name:
             check_stages(self.phases, self.numbering, self.bounds)
             return with_fatrop(self.graph, verbose, solver.options)
+        if solver.name == sqp.name:
+            return with_sqp(self.graph, verbose, solver.options)
         return with_ipopt(self.graph, warm, verbose, solver.options)
 
     def _kept_program(self, solver: Solver, warm: bool, verbose: int) -> ObjectPool[Evaluator]:
@@ -370,7 +374,7 @@ def _check_steps(mesh: np.ndarray) -> None:
 def check_solver(solver: object) -> None:
     """Refuse a solver that does not optimize."""
     if not isinstance(solver, Solver) or solver.name not in SOLVER_NAMES:
-        raise ValueError(f"a ControlProblem is solved by cg.ipopt or cg.fatrop, got the solver {solver!r}")
+        raise ValueError(f"a ControlProblem is solved by cg.ipopt, cg.fatrop or cg.sqp, got the solver {solver!r}")
 
 
 def transcribed_control(

@@ -191,8 +191,15 @@ def _along(problem: ControlProblem) -> dict[str, ca.Function]:
 
 @lru_cache(8)
 def _may_be_undefined(*functions: ca.Function) -> bool:
-    """Whether a Function holds an operation that is not finite for all numbers; of most none is looked at."""
-    return any(f.instruction_id(k) in UNDEFINED_SOMEWHERE for f in functions for k in range(f.n_instructions()))
+    """Whether a Function holds an operation that is not finite for all numbers, but a division by a constant."""
+    for f in functions:
+        constants = set[int]()  # places that hold one
+        for k in range(f.n_instructions()):
+            what, places = f.instruction_id(k), f.instruction_output(k)
+            if what in UNDEFINED_SOMEWHERE and not (what == ca.OP_DIV and f.instruction_input(k)[1] in constants):
+                return True
+            constants = constants.union(places) if what == ca.OP_CONST else constants.difference(places)
+    return False
 
 
 @lru_cache(8)

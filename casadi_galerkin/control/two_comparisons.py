@@ -31,7 +31,7 @@ from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
-from casadi_galerkin.solvers.solver import Solver, ipopt
+from casadi_galerkin.solvers.solver import Solver, ipopt, sqp
 
 DEGREES_ADDED = 2  # degrees added; one adds nothing to a path of the other parity
 SAFETY = ControlTrajectory.comparison_factor
@@ -57,6 +57,7 @@ def from_near(solver: Solver, path: ControlTrajectory) -> Solver:
 
     IPOPT's tolerances are absolute: a small cost is measured in its own size.
     """
+    solver = ipopt if solver.name == sqp.name else solver  # which needs the same mesh
     options = {"mu_init": NEAR_BARRIER, "barrier_tol_factor": BARRIER_RATIO}
     if solver.name == ipopt.name and 0 < path.cost_size < 1:
         options["obj_scaling_factor"] = 1 / path.cost_size

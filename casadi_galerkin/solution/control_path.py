@@ -17,9 +17,9 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import barycentric_weights, lagrange_values
 from casadi_galerkin.calculus.numbers import counted, read_only, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, TINY
 
-MIDPOINTS = (np.arange(200) + 0.5) / 200  # fractions of an interval at which the cut of a polynomial is seen
+MIDPOINTS = (np.arange(100) + 0.5) / 100  # fractions of an interval at which the cut of a polynomial is seen
 SAME_TIME = 4 * EPS  # rounding of the joint t_i + h q with q = 1, relative to the largest time
 
 
@@ -102,19 +102,16 @@ class ControlPath:
 
     @cached_property
     def _bumps(self) -> np.ndarray:
-        """Bumps added to the polynomials before they are cut, so that their means stay; (n, N)."""
-        u, bump = self._local @ lagrange_values(self.points, MIDPOINTS).T, self._bump(MIDPOINTS)
-        (low, high), bumps = self.bounds[:, :, None], np.zeros(u.shape[:2])
-        cut = np.abs(np.mean(np.clip(u, low[:, None], high[:, None]) - u, axis=2))
-        for k, i in np.argwhere(cut > np.sqrt(EPS) * np.max(np.abs(u), axis=2)):
-            most = np.max(np.abs(u[k, i])) / np.max(bump) / np.sqrt(EPS)
-            least = -most
-            for _ in range(round(-1.5 * np.log2(EPS))):  # from there to rounding
-                bumps[k, i] = (least + most) / 2
-                if np.mean(np.clip(u[k, i] + bumps[k, i] * bump, low[k], high[k]) - u[k, i]) > 0:
-                    most = bumps[k, i]
-                else:
-                    least = bumps[k, i]
+        """Bumps added to the polynomials before they are cut, so that their means stay; (n, N).
+
+        The mean of c bumps, cut where they lead to a bound, is linear in c between the places where a sample meets one.
+        """
+        u, bump = self._local @ lagrange_values(self.points, MIDPOINTS).T, self._bump(MIDPOINTS) + TINY
+        room, bumps = (self.bounds[:, :, None, None] - u) / bump, np.zeros(u.shape[:2])
+        for k, i in np.argwhere(np.any((room[0] > 0) | (room[1] < 0), axis=2)):
+            low, high = room[:, k, i]
+            meeting = np.unique(room[:, k, i][np.isfinite(room[:, k, i])])
+            bumps[k, i] = np.interp(0.0, np.clip(meeting[:, None], low, high) @ bump, meeting)
         return bumps
 
     @property

@@ -134,12 +134,13 @@ def check_option(name: str, value: object, plugin: str = "ipopt") -> None:
     fatrop knows its options only when it runs, and IPOPT whether the linear solver that one names is installed.
     """
     x, quiet = ca.MX.sym("x"), {"print_level": 0} | ({"sb": "yes"} if plugin == "ipopt" else {})
-    called = "IPOPT" if plugin == "ipopt" else plugin
+    called = {"ipopt": "IPOPT", "sqpmethod": "sqp"}.get(plugin, plugin)
     refusal = ValueError(f"{called} has no option {name} that takes {value!r}")
     if value != value:  # NaN, which it would take
         raise refusal
     try:
-        asked = ca.nlpsol("asked", plugin, {"x": x, "f": x**2}, {"print_time": False, plugin: {**quiet, name: value}})
+        options = {name: value} if plugin == "sqpmethod" else {plugin: {**quiet, name: value}}
+        asked = ca.nlpsol("asked", plugin, {"x": x, "f": x**2}, {"print_time": False, **options})
         if name == "print_level":
             return  # which would print
         asked(x0=1.0)

@@ -125,3 +125,27 @@ def test_bounds_narrower_than_fatrop_relaxes_them_are_kept(changes):
     problem = double_integrator(**changes)
     narrow, other = (cg.solve(problem, cg.Galerkin(3), 8, solver=solver) for solver in (cg.fatrop, cg.ipopt))
     assert narrow.cost == pytest.approx(other.cost, abs=1e-6)
+
+
+def test_sequential_quadratic_programs_begin_from_an_earlier_answer():
+    program = cg.transcribe(pendulum(3.0, control_bounds=(-2.5, 2.5)), cg.Galerkin(3), 12)
+    cold = program.solve(solver=cg.sqp)
+    near, by_ipopt = (program.solve(start=[0.02], guess=cold, solver=solver) for solver in (cg.sqp, cg.ipopt))
+    assert cold.solver.startswith("IPOPT")
+    assert near.solver == "SQP (Solve Succeeded)"
+    assert near.iterations < by_ipopt.iterations
+    assert near.cost == pytest.approx(by_ipopt.cost, rel=1e-9)
+    np.testing.assert_allclose(near.control.values, by_ipopt.control.values, rtol=0, atol=1e-6)
+    assert near.estimate_error() == pytest.approx(by_ipopt.estimate_error(), rel=1e-3)
+
+
+def test_where_sequential_quadratic_programs_are_lost_ipopt_solves_and_the_report_says_so():
+    program = cg.transcribe(pendulum(3.0), cg.Galerkin(3), 12)
+    path = program.solve(start=[0.5], guess=program.solve(), solver=cg.sqp.with_options(max_iter=1))
+    lost = "after SQP stopped with 'Maximum Iterations Exceeded' after 1 iterations"
+    assert path.solver == f"IPOPT (Solve Succeeded), from the same start, {lost}"
+
+
+def test_an_option_that_sqp_does_not_have_is_refused():
+    with pytest.raises(ValueError, match="sqp has no option max_iterations that takes 9"):
+        cg.sqp.with_options(max_iterations=9)
