@@ -46,11 +46,11 @@ from casadi_galerkin.solution.plotting import panels as panels
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
 from casadi_galerkin.solvers.solver import Solver as Solver
 from casadi_galerkin.solvers.solver import fatrop as fatrop
-from casadi_galerkin.solvers.solver import sqp as sqp
 from casadi_galerkin.solvers.solver import ipopt as ipopt
 from casadi_galerkin.solvers.solver import minimizer as minimizer
 from casadi_galerkin.solvers.solver import newton as newton
 from casadi_galerkin.solvers.solver import rootfinder as rootfinder
+from casadi_galerkin.solvers.solver import sqp as sqp
 from casadi_galerkin.stepping.geometry import Geometry as Geometry
 from casadi_galerkin.stepping.geometry import geometry as geometry
 from casadi_galerkin.stepping.shooting import shoot as shoot

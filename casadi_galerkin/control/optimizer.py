@@ -1,4 +1,4 @@
-"""Constrained optimization, all derivatives supplied: minimize f(ξ) within bounds on ξ and G(ξ), by one of three solvers.
+"""Constrained optimization, all derivatives supplied: minimize f(ξ) within bounds on ξ and G(ξ), by three solvers.
 
 `solvers` solve ∇S = 0 to roundoff; this is the counterpart for costs and constraints.  It returns the last point and
 the status of the solver; the caller, who knows the meaning of the rows of G, verifies the point.
@@ -16,6 +16,7 @@ import numpy as np
 from casadi_galerkin.control.control_graph import ControlGraph
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
+from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.solvers.deadline import limited
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; with an unbounded cost the iteration does not end
@@ -79,6 +80,7 @@ def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str
         "tol": TOLERANCE,
         "acceptable_tol": ACCEPTABLE,
         "acceptable_iter": ACCEPTABLE_ITERATIONS,
+        "acceptable_constr_viol_tol": FEASIBLE,  # IPOPT's own is 1e-2
         "tiny_step_tol": 0.0,  # tiny steps, where roundoff keeps an optimum from TOLERANCE, are no failure
         "bound_relax_factor": 0.0,
         **(WARM if warm else {}),

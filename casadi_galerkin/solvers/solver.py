@@ -40,8 +40,8 @@ class Solver:
     - `rootfinder` is CasADi's own Newton method, whose steps lower the residual.
     - `ipopt`, the default of a ControlProblem, takes the equations as constraints.
     - `minimizer` is IPOPT on the action of a BoundaryProblem, and finds minima only.
-    - `sqp`, for a ControlProblem alone, is CasADi's sequential quadratic programming, from an earlier answer of the same
-      method and intervals, in half the time of `ipopt` or less; elsewhere, and where it fails, `ipopt` solves.
+    - `sqp`, for a ControlProblem alone, is sequential quadratic programming, from an earlier answer of the same method
+      and intervals, in half the iterations of `ipopt` or less; elsewhere, and where it fails, `ipopt` solves.
     - `fatrop`, for a ControlProblem alone, goes through it stage by stage, mostly in less time than `ipopt`; but what
       CasADi builds for it grows with the square of the intervals, to 9 s for 20 components on 200 of them.
 
