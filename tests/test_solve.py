@@ -14,7 +14,7 @@ METHOD = cg.Galerkin(2)
 @pytest.mark.parametrize("given", [{"method": METHOD, "intervals": 2}, {"tol": 1e-6}])
 @pytest.mark.parametrize("other", [None, oscillator, {"lagrangian": oscillator}, "problem"])
 def test_what_is_no_problem_is_refused(other, given):
-    kinds = "a BoundaryProblem or InitialProblem or ControlProblem"
+    kinds = "a BoundaryProblem or InitialProblem or ControlProblem or Phases"
     with pytest.raises(TypeError, match=f"problem must be {kinds}, got {type(other).__name__}"):
         cg.solve(other, **given)
 
