@@ -4,9 +4,10 @@ The duration is free and the control jumps.  With an even number of equal interv
 the answer is exact.  With an odd number it falls inside an interval: the duration found is too short, because the
 control leaves its bounds between the quadrature points, and the summary says where.  A tolerance moves a joint there.
 
-Two variations.  With a buffer at the end that takes what speed v is left, for a price times the energy v²/2, full
+Three variations.  With a buffer at the end that takes what speed v is left, for a price times the energy v²/2, full
 thrust lasts for a = √(1 + v²/2) and the brake for a - v: with the price √(7/8), a = √(8/7) and v = a/2.  With a gear
 of free ratio p between motor and load, the motor's inertia J counts p² times: the best ratio matches both, p = 1/√J.
+And where thrust changes by at most k in a unit of time, it turns over within 2/k, and T² = 4 + 4/(3 k²).
 """
 
 from dataclasses import replace
@@ -18,6 +19,7 @@ THRUST = 1.0
 PRICE = sqrt(7 / 8)  # of the energy left for the buffer
 FULL_THRUST = sqrt(8 / 7)  # how long, with the buffer
 INERTIA = 1 / 16  # of the motor, the load's is 1
+TURN = 2.0
 
 
 def problem():
@@ -40,6 +42,11 @@ def problem():
 def buffered():
     """Arriving with any speed, which costs its energy times a price."""
     return replace(problem(), end_velocity=[None], terminal_cost=lambda t, x, v: PRICE * v[0] ** 2 / 2)
+
+
+def slow_to_turn():
+    """Thrust that changes by at most two units in a unit of time."""
+    return replace(problem(), control_rate_bounds=(-TURN, TURN))
 
 
 def geared():
@@ -89,4 +96,6 @@ if __name__ == "__main__":
     driven = cg.solve(geared(), cg.Galerkin(degree=2), intervals=10)
     print(f"with a gear: ratio {driven.parameters[0]:.12f}, exact {INERTIA**-0.5:g}", end="; ")
     print(f"duration {driven.t[-1]:.12f}, exact {2 * INERTIA**0.25 * sqrt(2):.12f}")
+    turned = cg.solve(slow_to_turn(), cg.Galerkin(degree=3), intervals=64)
+    print(f"where thrust turns slowly: {turned.t[-1]:.6f}, exact {2 * sqrt(1 + 1 / (3 * TURN**2)):.6f}")
     draw(answer).savefig("minimum_time.png")

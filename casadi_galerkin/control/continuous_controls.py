@@ -67,12 +67,12 @@ def continuous_controls(
     values : one array for every field of the `Chain`
     """
     found = values["controls"]
-    if problem.hold or not found.size:
+    if problem.hold or not found.size or np.isfinite(problem.control_rate_bounds).any():
         return found
     controls = found.reshape(-1, chain.controls).copy()
     if np.all(np.abs(np.diff(controls, axis=0)) <= LONG_STEP * np.ptp(controls, axis=0)):
         return found
-    effect = _effect(problem.force, problem.rates, problem.running_cost, problem.path_constraint[0])
+    effect = _effect(problem.force, problem.rates, problem.running_cost, problem.limits[0])
     if effect is None:
         return found
     times, x, v = path.sampled(chain.control_times)

@@ -112,8 +112,8 @@ class PhaseEmbedding:
 
     Attributes
     ----------
-    points, either_end, both_ends, nodes : layouts of the inputs at the quadrature points, at each end, at both ends
-        together, and at the nodes with a constraint
+    points, either_end, both_ends, nodes, changes : layouts of the inputs at the quadrature points, at each end, at both
+        ends together, at the nodes with a constraint, and of the changes of bounded controls
     inputs, outputs : layouts of the inputs, and of the outputs, at all kinds of places that exist
     """
 
@@ -125,18 +125,21 @@ class PhaseEmbedding:
         when = {"duration": 1, **common, "begin": 1, "fraction": 1}
         at_point = {"x": d, "slope": d, "controls": chain.controls, **when, "part": 1, "sizes": dm}
         at_node = {"x": d, "impulse": constraints, **when, "sizes": dm}
-        r, m, joined = len(chain.method.quadrature), chain.method.degree, chain.conditions > 0 or chain.terminal_cost
+        n = chain.changes
+        at_change = {"before": n, "after": n, "duration": 1, "part": 1}
+        r, m, joined = len(chain.method.quadrature), chain.method.degree, chain.conditions > 0 or chain.cost_of_ends
         kinds: list[tuple[int, dict[str, int], dict[str, int]]] = [
             (chain.intervals * r, at_point, {"f": dm, "g": dm, "defect": d - dm, "path": chain.path_constraints}),
             (2, at_end, {"momentum": dm, "tangent": constraints}),
             (int(joined), self.ends, {"conditions": chain.conditions}),
             ((chain.intervals * m + 1) * (constraints > 0), at_node, {"constraint": constraints, "push": dm}),
+            ((chain.intervals * len(chain.control_times) - 1) * (n > 0), at_change, {"changes": n}),
         ]
         counts, inputs, outputs = zip(*kinds, strict=True)
         all_inputs, self._all_outputs = (
             stacked(counts, rows, k) for rows, k in zip((inputs, outputs), first, strict=True)
         )
-        self.points, self.either_end, self.both_ends, self.nodes = all_inputs
+        self.points, self.either_end, self.both_ends, self.nodes, self.changes = all_inputs
         self.inputs, self.outputs = (
             [place for place in layouts if place.count] for layouts in (all_inputs, self._all_outputs)
         )
@@ -185,6 +188,20 @@ class PhaseEmbedding:
             where = np.append(0, interval), np.append(0.0, element.nodes[1:][a])
             yield from self._times_and_parameters(self.nodes, *where)
 
+        if self.changes.count:
+            times, n = self.chain.control_times, self.chain.controls
+            u, last = f["controls"].reshape(-1, n), np.arange(1, self.chain.intervals) * len(times) - 1
+            within = np.setdiff1d(np.arange(len(u) - 1), last)
+            order = np.append(within, last)
+            yield self.changes.row("before"), u[order], 1.0
+            yield self.changes.row("after"), u[order + 1], 1.0
+            yield self.changes.row("duration"), f["duration"][0], 1.0
+            part, inside = self.changes.row("part"), len(within)
+            apart = np.tile(np.diff(times), self.chain.intervals)[:, None]
+            yield part[:inside], f["part"][within // len(times)][:, None], apart
+            yield part[inside:], f["part"][:-1][:, None], 1 - times[-1]
+            yield part[inside:], f["part"][1:][:, None], times[0]
+
     def _times_and_parameters(
         self, place: PlaceLayout, interval: np.ndarray, fraction: np.ndarray
     ) -> Iterator[Triplet]:
@@ -200,7 +217,7 @@ class PhaseEmbedding:
         """Entries of Θᵀ: outputs of the pointwise functions at all places x equations."""
         chain, rows, m = self.chain, self.chain.rows, self.chain.method.degree
         n, dm, element = chain.intervals, chain.mechanical, chain.method.element
-        points, either_end, both_ends, nodes = self._all_outputs
+        points, either_end, both_ends, nodes, changes = self._all_outputs
         weights, sign = element.weights[:, None], np.append(np.ones(m), -1.0)
         tests = weights * lagrange_values(np.array(gauss(m).points), element.points)
         works = np.concatenate((rows["motion"], rows["momentum"][:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)
@@ -212,6 +229,12 @@ class PhaseEmbedding:
         yield either_end.row("momentum"), np.stack((rows["start"], rows["end"])), -1.0
         yield either_end.row("tangent"), np.stack((rows["start_tangent"], rows["end_tangent"])), 1.0
         yield both_ends.row("conditions"), rows["ends"], 1.0
+        if changes.count:
+            yield (
+                changes.row("changes"),
+                np.vstack((rows["changes"].reshape(-1, chain.changes), rows["joint_changes"])),
+                1.0,
+            )
         if chain.constraints:
             later = np.concatenate((rows["motion"][:, 1:], rows["momentum"][:, None]), axis=1).reshape(-1, dm)
             of_constraint = np.vstack((rows["start_constraint"], rows["constraint"].reshape(-1, chain.constraints)))

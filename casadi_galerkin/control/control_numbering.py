@@ -111,7 +111,8 @@ class Chain:
     dimension, mechanical : numbers of all components, and of the components with an equation of motion
     controls, parameters, constraints, path_constraints, conditions : numbers of controls, parameters, holonomic
         constraints, path constraints and end conditions, with path constraints that limit the end
-    terminal_cost : whether there is a terminal cost
+    cost_of_ends : whether there is a cost of the start or of the end
+    changes : number of controls whose changes are bounded, all or none
     free : which of "begin", "duration" and "parameters" are unknowns, in this order
     breaks : numbers of the joints at the breakpoints
     velocities_of_rates : whether the running cost or a path constraint depends on the velocity of a component that
@@ -128,7 +129,7 @@ class Chain:
         (N, m, mechanical) are the equations of motion of the nodes before the last; "rates" (N, m, others); "path"
         (N, r, count); "constraint" (N, m, constraints) and "start_constraint" are a constraint, "start_tangent" and
         "end_tangent" its time derivative; "start", "end" (mechanical,) are ∂L/∂v = p at the ends; "ends" are the end
-        conditions
+        conditions; "changes" (N, points - 1, changes) and "joint_changes" (N - 1, changes) are rates of the controls
     departures : (N + 1, mechanical), equations of the momenta at the starts of the intervals, and of the last momentum
     kinds : (equations,), equal for equations whose terms are the same quantity
     unknown_kinds : (unknowns,), equal for unknowns that are values of the same quantity
@@ -142,8 +143,9 @@ class Chain:
     def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray, begins_free: bool = False) -> None:
         self.method, self.intervals, self.dimension = method, len(mesh) - 1, problem.dimension
         self.mechanical, self.controls, self.constraints = problem.mechanical, problem.controls, problem.constraints
-        self.parameters, self.terminal_cost = len(problem.parameters or ()), problem.terminal_cost is not None
-        self.path_constraints = len(problem.path_constraint[1])
+        self.parameters = len(problem.parameters or ())
+        self.cost_of_ends = problem.terminal_cost is not None or problem.initial_cost is not None
+        self.path_constraints = len(problem.limits[1])
         self.end_conditions = problem.conditions_at_ends
         self.conditions = len(self.end_conditions[1])
         limited = self.conditions > len(problem.end_conditions[1])
@@ -151,11 +153,20 @@ class Chain:
             "condition {} on the end, stated or by a path constraint" if limited else "end condition {}"
         )
         lasting, parameters = problem.duration_bounds is not None, problem.parameter_bounds is not None
-        freed = {"begin": begins_free, "duration": lasting, "parameters": parameters}
+        freed = {
+            "begin": begins_free or problem.initial_time_bounds is not None,
+            "duration": lasting,
+            "parameters": parameters,
+        }
         self.free = tuple(name for name, free in freed.items() if free)
         self.breaks = np.searchsorted(mesh, problem.breakpoints)
         self.control_times = np.array([0.5]) if problem.hold else method.element.points
-        along = problem.running_cost, problem.path_constraint[0]
+        self.changes = self.controls * bool(np.isfinite(problem.control_rate_bounds).any())
+        if self.changes and self.control_times[-1] - self.control_times[0] == 1:
+            raise ValueError(
+                f"control_rate_bounds need a rule without points at both ends of intervals, such as gauss, got {method}"
+            )
+        along = problem.running_cost, problem.limits[0]
         of_rates = np.arange(self.dimension) >= self.mechanical
         self.velocities_of_rates = any(rows_that_depend(f, VELOCITIES, of_rates).any() for f in along)
         self._number_unknowns()
@@ -200,6 +211,8 @@ class Chain:
         n, d, element, held = self.intervals, self.dimension, self.method.element, range(self.constraints)
         motion = "the equation of motion of x[{}]", "motion", range(self.mechanical)
         constraint, tangent = ("constraint {}", "constraint", held), ("the rate of constraint {}", "tangent", held)
+        changed = "the rate of u[{}]", "changes", range(self.changes)
+        over_joints = Field("joint_changes", *changed)
         constants = "the continuity of a time or parameter[{}]", "constants", range(self.free_constants)
         tied = [
             Field("x", "the continuity of x[{}]", "x", range(d), 1.0),
@@ -212,13 +225,15 @@ class Chain:
             Field("rates", "the rate of x[{}]", "rates", range(self.mechanical, d), test_points),
             Field("path", "path constraint {}", "path", range(self.path_constraints), element.points),
             Field("constraint", *constraint, element.nodes[1:]),
+            Field("changes", *changed, self.control_times[1:]),
         ]
         at_start = [Field("start", *motion), Field("start_constraint", *constraint), Field("start_tangent", *tangent)]
         ends = Field("ends", self._words_of_ends, "ends", range(self.conditions))
         at_end = [Field("end", *motion), Field("end_tangent", *tangent), ends]
-        further = [[*inner, *at_start], *[inner] * (n - 1), at_end]
+        further = [[*inner, *at_start], *[[*inner, over_joints]] * (n - 1), at_end]
         self.equation_stages: Stages = [[*(tied if i < n else []), *other] for i, other in enumerate(further)]
         rows = numbered(self.equation_stages)
+        rows.setdefault("joint_changes", np.zeros((0, self.changes), dtype=np.int64))
         self.rows = rows | {field.name: rows[field.name][0] for field in (*at_start, *at_end)}
         self.departures = np.vstack((rows["motion"][:, 0], rows["momentum"][-1:]))
         self.equations = sum(map(length, self.equation_stages))

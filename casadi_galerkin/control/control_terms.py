@@ -177,6 +177,7 @@ def _terms(problem: ControlProblem, embedding: PhaseEmbedding, place: PlaceLayou
         embedding.either_end: _at_either_end,
         embedding.both_ends: partial(_at_both_ends, conditions=embedding.chain.end_conditions[0]),
         embedding.nodes: _at_nodes,
+        embedding.changes: _at_changes,
     }
     z, inputs = _inputs(place)
     given: dict[str, Any] = inputs | {"parameters": [] if problem.parameters is None else [inputs["parameters"]]}
@@ -204,7 +205,7 @@ def _at_points(problem: ControlProblem, *inputs: Any) -> Terms:
     rows = [(work + h * problem.force(*state)) / sizes, momentum / sizes]
     if problem.mechanical < problem.dimension:
         rows.append(slope[others, 0] - h * problem.rates(*state))
-    rows.append(problem.path_constraint[0](*state))
+    rows.append(problem.limits[0](*state))
     return {"rows": ca.vertcat(*rows), "cost": h * problem.running_cost(*state), "action": action}
 
 
@@ -218,11 +219,11 @@ def _at_either_end(problem: ControlProblem, *inputs: Any) -> Terms:
 
 
 def _at_both_ends(problem: ControlProblem, *inputs: Any, conditions: ca.Function) -> Terms:
-    _, x0, v0, t, x1, v1, p = inputs
-    last = x1, _filled(v1, x1)
-    rows = conditions(x0, _filled(v0, x0), *last, *p)
-    cost = {} if problem.terminal_cost is None else {"cost": problem.terminal_cost(t, *last, *p)}
-    return {"rows": rows, **cost}
+    t0, x0, v0, t1, x1, v1, p = inputs
+    first, last = (x0, _filled(v0, x0)), (x1, _filled(v1, x1))
+    ends = (problem.initial_cost, (t0, *first)), (problem.terminal_cost, (t1, *last))
+    costs = [cost(*at, *p) for cost, at in ends if cost is not None]
+    return {"rows": conditions(*first, *last, *p), **({"cost": sum(costs)} if costs else {})}
 
 
 def _at_nodes(problem: ControlProblem, *inputs: Any) -> Terms:
@@ -230,6 +231,11 @@ def _at_nodes(problem: ControlProblem, *inputs: Any) -> Terms:
     assert problem.constraint is not None, "there are such places only with a constraint"
     g = problem.constraint(begin + duration * fraction, x, *p)
     return {"rows": ca.vertcat(g, ca.mtimes(ca.jacobian(g, x).T, impulse) / sizes)}
+
+
+def _at_changes(_: ControlProblem, *inputs: Any) -> Terms:
+    before, after, duration, part = inputs[:4]
+    return {"rows": (after - before) / (duration * part)}
 
 
 def _momentum(problem: ControlProblem, t: ca.SX, x: ca.SX, v: ca.SX, p: list[ca.SX]) -> ca.SX:

@@ -35,7 +35,7 @@ from casadi_galerkin.control.starts import LONGER_DURATION, first_found
 from casadi_galerkin.control.two_comparisons import compared, from_near, phases_compared
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, fork_waits, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
-from casadi_galerkin.problems.bounds import FEASIBLE
+from casadi_galerkin.problems.bounds import FEASIBLE, Limit
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases
@@ -70,7 +70,7 @@ class StartingPoint:
 class ControlTranscription:
     """A control problem, or several phases, on N intervals as a nonlinear program, built once and solved often.
 
-    Ends, velocities, parameters and joints are parameters of the program: nothing is rebuilt when they change.
+    Ends, velocities, parameters, bounds and joints are parameters of the program: nothing is rebuilt when they change.
 
     Parameters
     ----------
@@ -129,6 +129,9 @@ class ControlTranscription:
         start_velocity: Sequence[float | None] | None = None,
         end_velocity: Sequence[float | None] | None = None,
         parameters: Sequence[float] | None = None,
+        control_bounds: tuple[Limit, Limit] | None = None,
+        position_bounds: tuple[Limit, Limit] | None = None,
+        velocity_bounds: tuple[Limit, Limit] | None = None,
         guess: Guess | None = None,
         mesh: ArrayLike | None = None,
         solver: Solver = ipopt,
@@ -140,6 +143,8 @@ class ControlTranscription:
         ----------
         start, end, start_velocity, end_velocity : d numbers each, with None exactly where the problem has None
         parameters : as many numbers as the problem has; where they are free, the guess
+        control_bounds, position_bounds, velocity_bounds : (lo, hi) each, as a problem states them; those of velocities
+            bound the same components
         guess : None (the straight line between the ends, and controls of zero, or in the middle of bounds unless zero
             is inside of these; where all components follow rates, as near to zero as bounds allow), anything
             `Transcription.solve` takes for the path, a tuple of that and a guess of the controls, or an earlier
@@ -177,7 +182,9 @@ class ControlTranscription:
         calculus = self.calculus if mesh is None else self._remeshed(mesh)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
-        problem = self.problem.varied({**ends, "parameters": parameters}, span)
+        bounded = {"control_bounds": control_bounds, "position_bounds": position_bounds}
+        bounded["velocity_bounds"] = velocity_bounds
+        problem = self.problem.varied({**ends, "parameters": parameters, **bounded}, span)
 
         def attempt(by: Solver, at: Guess | None, longer: float = 1.0) -> Any:
             begun = self.starting_point(problem, calculus, at, longer)
@@ -264,7 +271,7 @@ class ControlTranscription:
         self, values: list[dict[str, np.ndarray]], meshes: list[np.ndarray]
     ) -> Iterator[tuple[dict[str, np.ndarray], np.ndarray]]:
         """The values of every phase with its joints; exactly those of the mesh where all times are given."""
-        begin = meshes[0][0]
+        begin = values[0]["begin"].item() if "begin" in self.numbering.chains[0].free else meshes[0][0]
         free = any({"begin", "duration"} & set(chain.free) for chain in self.numbering.chains)
         for found, mesh in zip(values, meshes, strict=True):
             end = begin + found["duration"].item()

@@ -186,7 +186,7 @@ def _undefined_at(
 def _along(problem: ControlProblem) -> dict[str, ca.Function]:
     """The callables along the path, by name; the last takes no controls."""
     named = {name: getattr(problem, name) for name in ("running_cost", "force", "rates")}
-    return {**named, "path_constraint": problem.path_constraint[0], "lagrangian": problem.lagrangian}
+    return {**named, "path_constraint": problem.limits[0], "lagrangian": problem.lagrangian}
 
 
 @lru_cache(8)

@@ -58,7 +58,7 @@ def bounds_of(
     for k, (problem, chain) in enumerate(zip(phases, numbering.chains, strict=True)):
         _bound_phase(sides, equations, problem, chain)
         if k == 0 and "begin" in chain.free:
-            sides[:, chain.fields["begin"][-1]] = problem.t_span[0]
+            _limit(sides, chain.fields["begin"][-1], problem.initial_time_bounds or [problem.t_span[0]] * 2)
         for i, (rows, satisfied) in enumerate(_constraint_at_ends(problem, chain)):
             goes_on = k > 0 and i < 2 and phases[k - 1].constraint is not None
             free = np.where((satisfied | goes_on) & (not implied), np.inf, 0.0)
@@ -76,11 +76,19 @@ def _bound_phase(sides: np.ndarray, equations: np.ndarray, problem: ControlProbl
     for name, bounds in (("duration", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
         if bounds is not None:
             _limit(sides, fields[name][-1], bounds)
+    x, velocity_bounds = fields["x"][0], np.array(problem.velocity_bounds)[:, : chain.mechanical]
+    low, high = np.array(problem.start_bounds)
+    _limit(sides, x, (np.maximum(sides[0, x], low), np.minimum(sides[1, x], high)))
+    for name in ("start_velocity", "end_velocity"):
+        _limit(sides, fields[name], velocity_bounds)
+    if chain.changes:
+        for name in ("changes", "joint_changes"):
+            _limit(equations, chain.rows[name], problem.control_rate_bounds)
     for t, place in problem.waypoints:
         index = fields["x"][joints.get(t, -1)]
         low, high = np.transpose(place)
         _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
-    for name, limited in (("path", problem.path_constraint), ("ends", chain.end_conditions)):
+    for name, limited in (("path", problem.limits), ("ends", chain.end_conditions)):
         _limit(equations, chain.rows[name], limited[1:])
     for index, values in given_at_ends(problem, chain).values():
         sides[:, index] = values
@@ -189,6 +197,8 @@ def check_stages(phases: Sequence[ControlProblem], numbering: Numbering, bounds:
     if len(phases) > 1:
         raise ValueError("fatrop takes no phases, such as jumps and breakpoints with free times make: take cg.ipopt")
     (problem,), (chain,) = phases, numbering.chains
+    if chain.changes:
+        raise ValueError("fatrop takes no control_rate_bounds, which join intervals: take cg.ipopt")
     if any(problem.end_conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
         raise ValueError(
             "fatrop takes end_conditions on the end alone, stage by stage: give what is known of the start as "

@@ -35,6 +35,8 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
             array = real_array(name, given)
         except TypeError as error:
             raise TypeError(f"{expected}, got {given!r}") from error
+        if array.size and np.all(array == -never):  # none at all, as where another number of components is stated
+            array = np.array(-never)
         if array.shape not in ((), (size,)):
             raise ValueError(f"{expected}, got shape {array.shape}")
         if (np.isnan(array) | (array == never)).any():

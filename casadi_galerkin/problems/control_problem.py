@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -27,7 +28,7 @@ from casadi_galerkin.problems.callables import Traceable, depends_on_time, left_
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
 from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import singular_mass
-from casadi_galerkin.problems.problem import Problem, section_times, with_values
+from casadi_galerkin.problems.problem import Problem, is_given, section_times, with_values
 from casadi_galerkin.problems.statements import (
     Made,
     dimension,
@@ -104,6 +105,13 @@ def _duration_bounds(name: str, value: Any, made: Made) -> Bounds | None:
     return low, high
 
 
+def _initial_time_bounds(name: str, value: Any, _: Made) -> tuple[float, float] | None:
+    if value is None:
+        return None
+    (low,), (high,) = bounds(name, value, 1)
+    return low, high
+
+
 def _parameter_bounds(name: str, value: Any, made: Made) -> Bounds | None:
     if value is None:
         return None
@@ -128,6 +136,11 @@ STATEMENTS = {
     "running_cost": _running_cost,
     "terminal_cost": function("t x v", "scalar"),
     "control_bounds": within("controls"),
+    "control_rate_bounds": within("controls"),
+    "velocity_bounds": within("x"),
+    "start_bounds": within("x"),
+    "initial_time_bounds": _initial_time_bounds,
+    "initial_cost": function("t x v", "scalar"),
     "path_constraint": limited("t x v u"),
     "duration_bounds": _duration_bounds,
     "parameter_bounds": _parameter_bounds,
@@ -135,6 +148,15 @@ STATEMENTS = {
     "hold": switch,
     "constraint": function("t x", "any"),
 }
+
+
+@lru_cache(8)  # so that what is derived from the Function is found again
+def _with_velocities(g: ca.Function, rates: ca.Function, bounded: tuple[int, ...]) -> ca.Function:
+    """Path constraints, and some velocities; those of the last components are their rates."""
+    symbols = g.sx_in()
+    rated, v = rates(*symbols), symbols[VELOCITIES]
+    velocities = ca.vertcat(v[: v.numel() - rated.numel(), 0], rated)
+    return ca.Function("limits", symbols, [ca.vertcat(g(*symbols), velocities[list(bounded)])])
 
 
 @dataclass(frozen=True, repr=False)
@@ -150,10 +172,18 @@ class ControlProblem(Problem):
     force : callable (t, x, v, u) -> one generalized force for every component but the last k, see `rates`
     running_cost : callable (t, x, v, u) -> scalar, integrated over time
     controls : number of controls, the length of u; without any, callables do not take u
-    terminal_cost : callable (t, x, v) -> scalar, added to the cost with the values at the end
+    terminal_cost, initial_cost : callables (t, x, v) -> scalar, added to the cost with the values at the end and start
+    start_bounds : (lo, hi), each a scalar or one number per component: of what `start` leaves free
+    initial_time_bounds : (lo, hi), frees the time of the start, which t_span guesses; all other times move with it
     control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
     position_bounds : (lo, hi), each a scalar or one number per component; held at the joints and the
         control points between them.  An end beyond them by rounding is put on them
+    velocity_bounds : (lo, hi), each a scalar or one number per component; held at the quadrature points and, for
+        components with an equation of motion, at both ends and beside jumps.  The velocity of a component that follows
+        a rate is that rate.  In `path_multipliers` they stand behind the path constraints
+    control_rate_bounds : (lo, hi), each a scalar or one number per control: of what a control changes by from each of
+        its values to the next, over the time between them.  Its values are those at the quadrature points, or with
+        `hold` one for each interval, at its middle.  A control may still jump where phases part
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points;
         what it asks of x and v alone also holds at the end of the path, unless `end_conditions` speak of that.  Where
         positions keep to a curve, state that as a `constraint`: the velocity at a free end keeps to it then, too
@@ -222,6 +252,11 @@ class ControlProblem(Problem):
     jumps: tuple[tuple[float, ca.Function], ...]
     hold: bool
     constraint: ca.Function | None
+    velocity_bounds: Bounds
+    control_rate_bounds: Bounds
+    initial_cost: ca.Function | None
+    start_bounds: Bounds
+    initial_time_bounds: tuple[float, float] | None
     statements, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, RULES_OF_VALUES, (singular_mass,)
 
     def __init__(
@@ -249,6 +284,11 @@ class ControlProblem(Problem):
         jumps: Sequence[tuple[float, Traceable]] = (),
         hold: bool = False,
         constraint: Traceable | None = None,
+        velocity_bounds: tuple[Limit, Limit] | None = None,
+        control_rate_bounds: tuple[Limit, Limit] | None = None,
+        initial_cost: Traceable | None = None,
+        start_bounds: tuple[Limit, Limit] | None = None,
+        initial_time_bounds: tuple[float, float] | None = None,
         components: int | None = None,
     ) -> None:
         if components is not None:
@@ -294,7 +334,18 @@ class ControlProblem(Problem):
     @property
     def costs(self) -> bool:
         """Whether a cost is stated."""
-        return bool(self.running_cost.nnz_out(0)) or self.terminal_cost is not None
+        return bool(self.running_cost.nnz_out(0)) or any(map(is_given, (self.initial_cost, self.terminal_cost)))
+
+    @property
+    def limits(self) -> Limited:
+        """The path constraints, and behind them the bounded velocities; that of a rated component is its rate."""
+        low, high = np.array(self.velocity_bounds)
+        bounded = tuple(np.flatnonzero(np.isfinite(low) | np.isfinite(high)).tolist())
+        if not bounded:
+            return self.path_constraint
+        g, *sides = self.path_constraint
+        lows, highs = ((*side, *values[list(bounded)]) for side, values in zip(sides, (low, high), strict=True))
+        return _with_velocities(g, self.rates, bounded), lows, highs
 
     @property
     def mechanical(self) -> int:
@@ -344,8 +395,8 @@ class ControlProblem(Problem):
 
     @property
     def along(self) -> list[ca.Function]:
-        """The force, rates, running cost and path constraint, Functions of (t, x, v, u)."""
-        return [self.force, self.rates, self.running_cost, self.path_constraint[0]]
+        """The force, rates, running cost and limits, Functions of (t, x, v, u)."""
+        return [self.force, self.rates, self.running_cost, self.limits[0]]
 
     @property
     def autonomous(self) -> bool:
@@ -359,6 +410,16 @@ class ControlProblem(Problem):
         moved = dict(zip(section_times(self), [t_span[0], *breakpoints, t_span[1]], strict=True))
         timed = {name: tuple((moved[t], what) for t, what in getattr(self, name)) for name in ("waypoints", "jumps")}
         return with_values(self, t_span=t_span, parameters=parameters, breakpoints=breakpoints, **timed)
+
+    def _another(self, name: str, value: Any) -> Any:
+        """Another value of a statement; bounds of velocities are rows, which stay the same."""
+        if name not in ("control_bounds", "position_bounds", "velocity_bounds"):
+            return super()._another(name, value)
+        other = self.statements[name](name, value, vars(self))
+        now, before = (np.isfinite(sides).any(axis=0).tolist() for sides in (other, getattr(self, name)))
+        if name == "velocity_bounds" and now != before:
+            raise ValueError(f"{name} must bound the same components as the problem does, {before}, got {now}")
+        return other
 
     def _check_values(self) -> None:
         """Refuse given values that contradict others; move ends that leave their bounds by rounding to the bounds."""

@@ -36,6 +36,7 @@ def _of_velocities(problem: Any) -> list[tuple[str, ca.Function, tuple[int, ...]
         ("force", problem.force, (2,)),
         ("rates", problem.rates, (2,)),
         ("terminal_cost", problem.terminal_cost, (2,)),
+        ("initial_cost", problem.initial_cost, (2,)),
         ("end_conditions", problem.end_conditions[0], (1, 3)),
         *((f"the {name} at t = {c.time:g}", f, (1,)) for c in problem.crossings for name, f in c.functions),
     ]
@@ -89,12 +90,20 @@ def _determined(problem: Any) -> Iterator[str]:
 
 
 def _bounds_at_ends(problem: Any) -> Iterator[str]:
-    """A given end lies outside its bounds."""
-    low, high = problem.position_bounds
-    for name, values in zip(ENDS, problem.given_positions.tolist(), strict=True):
-        for i, value in enumerate(values):
-            if value < low[i] or value > high[i]:
-                yield f"{name}[{i}] = {value} lies outside its position_bounds [{low[i]}, {high[i]}]"
+    """A given end, or its velocity, lies outside its bounds."""
+    of_positions, of_velocities = problem.position_bounds, problem.velocity_bounds
+    stated = [(name, "position_bounds", of_positions) for name in ENDS]
+    stated += [(name, "velocity_bounds", of_velocities) for name in END_MOTIONS[:2]]
+    for name, kind, (low, high) in [*stated, ("start", "start_bounds", problem.start_bounds)]:
+        for i, value in enumerate(getattr(problem, name)):
+            if value is not None and not low[i] <= value <= high[i]:
+                yield f"{name}[{i}] = {value} lies outside its {kind} [{low[i]}, {high[i]}]"
+    for i, (low, high) in enumerate(zip(*problem.start_bounds, strict=True)):
+        if low > of_positions[1][i] or high < of_positions[0][i]:
+            yield f"start_bounds[{i}] = ({low}, {high}) lie outside the position_bounds of x[{i}]"
+    first, (low, high) = problem.t_span[0], problem.initial_time_bounds or (-np.inf, np.inf)
+    if not low <= first <= high:
+        yield f"initial_time_bounds ({low}, {high}) must hold the guess, t_span begins at {first}"
 
 
 def _path_constraint_at_ends(problem: Any) -> Iterator[str]:

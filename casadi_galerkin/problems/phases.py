@@ -153,6 +153,9 @@ def sections(problem: ControlProblem) -> list[ControlProblem]:
                 end=problem.end if last else none,
                 end_velocity=problem.end_velocity if last else none,
                 terminal_cost=problem.terminal_cost if last else None,
+                initial_cost=problem.initial_cost if first else None,
+                initial_time_bounds=problem.initial_time_bounds if first else None,
+                start_bounds=problem.start_bounds if first else bounds("start_bounds", None, d),
                 end_conditions=(nothing, (), ()),
                 limits_of_end=[],
             )

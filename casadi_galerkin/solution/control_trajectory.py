@@ -389,7 +389,7 @@ class ControlTrajectory(Trajectory):
         times, values = self.path_multipliers.times, self.path_constraints(self.path_multipliers.points)
         line, points = self._broken(self.path_constraints(ALONG)), (times, values.reshape(len(values), -1))
         drawn = plot_path(line, points, axes, labels, time, "g", DOT_SIZE)
-        draw_bounds(drawn, np.array(self.problem.path_constraint[1:]))
+        draw_bounds(drawn, np.array(self.problem.limits[1:]))
         draw_multipliers(drawn, times, self.path_multipliers.values)
         return drawn
 

@@ -40,7 +40,7 @@ def integrand(problem: ControlProblem) -> ca.Function:
     motion = equations_of_motion(problem)
     *point, push = motion.sx_in()
     cost = problem.numeric.running_cost(*point)
-    limited = problem.numeric.path_constraint[0](*point)
+    limited = problem.numeric.limits[0](*point)
     costate, rate = (ca.SX.sym(name, problem.dimension) for name in ("costate", "costate_rate"))
     multipliers, (momentum, changes) = ca.SX.sym("multipliers", limited.numel()), motion(*point, 0 * push)
     total = cost + ca.dot(costate, changes) + ca.dot(rate, momentum) + ca.dot(multipliers, limited)
@@ -67,7 +67,7 @@ def jumps_in_time(function: ca.Function, mesh: np.ndarray, rule: Quadrature, z: 
 
 def _callables(problem: ControlProblem) -> list[ca.Function]:
     """The Functions along the path; the parameters are the last argument of each."""
-    return [problem.lagrangian, problem.force, problem.rates, problem.running_cost, problem.path_constraint[0]]
+    return [problem.lagrangian, *problem.along]
 
 
 def may_step(problem: ControlProblem) -> bool:

@@ -136,7 +136,7 @@ class BetweenPoints:
 
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """As in `ControlTrajectory`."""
-        constraint = self.problem.numeric.path_constraint[0]
+        constraint = self.problem.numeric.limits[0]
         times, x, v = self.path.polynomial.sampled(parts)
         (values,) = at_places(constraint, times, x, v, self.control.at(parts))
         return values.reshape(len(values), len(self.path.t) - 1, len(parts))
@@ -144,7 +144,7 @@ class BetweenPoints:
     def path_excess(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values of the path constraints, and their excess over their bounds, zero where a value is not finite."""
         values = self.path_constraints(parts)  # 0/0 is a ratio of two positions that vanish at an end
-        return values, np.where(np.isfinite(values), bound_excess(values, *self.problem.path_constraint[1:]), 0.0)
+        return values, np.where(np.isfinite(values), bound_excess(values, *self.problem.limits[1:]), 0.0)
 
     @cached_property
     def constraint_changes(self) -> np.ndarray:
@@ -162,8 +162,8 @@ class BetweenPoints:
         values, excess = self.path_excess(self._samples)
         if not len(values):
             return np.empty(values.shape[:2])
-        t, *z = self.problem.path_constraint[0].sx_in()[:4]
-        constraint = self.problem.numeric.path_constraint[0]
+        t, *z = self.problem.limits[0].sx_in()[:4]
+        constraint = self.problem.numeric.limits[0]
         derivative, path, joints = ca.jacobian(constraint(t, *z), ca.vertcat(*z)), self.path, self.path.t
         sizes = np.concatenate((path.sizes, component_sizes(path(joints, 1)), component_sizes(self.control.values)))
         times = joints[:-1] + np.diff(joints) * np.argmax(excess, axis=2) / (values.shape[2] - 1)

@@ -605,6 +605,11 @@ def late_brake(module, path):
     assert switch == pytest.approx(a, abs=1e-8)
 
 
+def turned_slowly(module, path):
+    path = cg.solve(module.slow_to_turn(), cg.Galerkin(3), intervals=64)
+    assert path.t[-1] == pytest.approx(2 * np.sqrt(13 / 12), abs=2e-5)
+
+
 def best_gear(module, path):
     path = cg.solve(module.geared(), cg.Galerkin(2), intervals=10)
     assert path.parameters[0] == pytest.approx(4, abs=1e-6)  # the duration is flat there
@@ -918,6 +923,7 @@ TABLE = [
     ),
     ("minimum_time", shortest_time, "the minimum time is two"),
     ("minimum_time", late_brake, "with a buffer the brake begins late and speed is left"),
+    ("minimum_time", turned_slowly, "a thrust that turns slowly takes longer"),
     ("minimum_time", best_gear, "the best gear matches the inertias"),
     ("two_link_arm", arm_upright, "the arm driven by its torques stands upright within the torque limit"),
     ("low_thrust", primer_vector, "thrust is the primer vector and costs little more than a slow spiral"),
