@@ -161,10 +161,8 @@ class Sweep(Table, Pictured):
         """Number of the variation -> number of its neighbor, for those that seem on another branch than their neighbor.
 
         A neighbor is the nearest variation that was solved and comes before.  Two variations seem on different branches
-        where their Morse indices differ, or where the action changes by more than its derivatives at both explain.
-        They do explain it where variations are so near that the action is convex or concave between them; else one
-        branch may seem two.  Branches that differ in neither, such as mirror images, are not told apart; under
-        constraints, end conditions, forces and a given energy only the index counts.
+        where their Morse indices differ, or where one is further than its size from the other one, bent to meet the
+        same ends.
 
         Raises
         ------
