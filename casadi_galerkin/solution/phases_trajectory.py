@@ -17,14 +17,15 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_within
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.plotting import panels
+from casadi_galerkin.solution.export import Columns, Table
+from casadi_galerkin.solution.plotting import Pictured, component_names, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
-class PhasesTrajectory:
+class PhasesTrajectory(Table, Pictured):
     """An optimal path in several phases: ``path(t)`` is its position, ``path.phases[k]`` the path of phase k.
 
     At the time at which a phase begins, values are those of this phase; ``path.before(t)`` are those of the phase
@@ -123,6 +124,20 @@ class PhasesTrajectory:
         assert self.error_estimate is not None
         return self.error_estimate
 
+    def table(self) -> Columns:
+        """The tables of the phases one after the other, with the number of the phase; what a phase has not is NaN."""
+        tables = [path.table() for path in self.phases]
+        counts = [len(columns["t"]) for columns in tables]
+        return {
+            "phase": np.repeat(np.arange(len(tables)), counts),
+            **{
+                name: np.concatenate(
+                    [each.get(name, np.full(count, np.nan)) for each, count in zip(tables, counts, strict=True)]
+                )
+                for name in dict.fromkeys(name for each in tables for name in each)
+            },
+        }
+
     def plot(self, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
         """Draw positions and controls of all phases, with gray lines between them; returns the axes of the positions.
 
@@ -132,7 +147,7 @@ class PhasesTrajectory:
         time : name of the time with its unit
         """
         top, bottom = panels(2, sharex=True)
-        names = [f"x[{i}]" for i in range(len(self.x))] if labels is None else labels
+        names = component_names("x", len(self.x), labels)
         for path in self.phases:
             for axes in (top, bottom):
                 axes.set_prop_cycle(None)

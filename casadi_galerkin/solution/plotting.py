@@ -100,7 +100,7 @@ def plot_path(
     NaN breaks a line; `dot` is the size of a dot.
     """
     count = len(line[1])
-    names = _named(name, count, labels)
+    names = component_names(name, count, labels)
     axes = axes_or_new(axes)
     for i, (values, dots) in enumerate(zip(line[1], points[1], strict=True)):
         color = COLORS[i % len(COLORS)]
@@ -118,7 +118,7 @@ def plot_family(
     lines: Sequence[tuple[str, np.ndarray, np.ndarray]], axes: Axes | None, labels: Sequence[str], time: str
 ) -> Axes:
     """Draw one component of several paths; `lines` are their names, times (K,) and values (K,)."""
-    (heading,) = _named("x", 1, labels)
+    (heading,) = component_names("x", 1, labels)
     axes = axes_or_new(axes)
     for i, (name, times, values) in enumerate(lines):
         axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
@@ -137,7 +137,7 @@ def plot_plane(
     places: np.ndarray, joints: np.ndarray, axes: Axes | None, labels: Sequence[str], name: str = "x"
 ) -> Axes:
     """Draw a way through a plane: a line through places (2, K), joints (2, N + 1) as dots."""
-    names = _named(name, 2, labels)
+    names = component_names(name, 2, labels)
     axes = axes_or_new(axes)
     if not axes.lines:
         axes.set_prop_cycle(color=COLORS)
@@ -160,7 +160,7 @@ def plot_poses(points: np.ndarray, trail: np.ndarray, axes: Axes | None) -> Axes
     return axes
 
 
-def _named(name: str, count: int, labels: Sequence[str] | None) -> Sequence[str]:
+def component_names(name: str, count: int, labels: Sequence[str] | None) -> Sequence[str]:
     """Names of the components; a string is the name of one."""
     if labels is None:
         return [f"{name}[{i}]" for i in range(count)]
@@ -235,7 +235,7 @@ def plot_branches(
         draw(branch_points, "ko", "branch point", markersize=7, fillstyle="none")
     axes.legend(fontsize="small")
     if labels is not None:
-        axes.set(**dict(zip(("xlabel", "ylabel"), _named("the diagram", 2, labels), strict=True)))
+        axes.set(**dict(zip(("xlabel", "ylabel"), component_names("the diagram", 2, labels), strict=True)))
     return axes
 
 

@@ -91,7 +91,14 @@ def test_a_component_goes_with_the_body_that_is_dropped():
     assert path(np.array([0.5, 1.5])).shape == (2, 2)
     np.testing.assert_array_equal(np.isnan(path(np.array([0.5, 1.5]))), [[False, False], [False, True]])
     np.testing.assert_allclose(path.before(1.0), [0.5, 1.0], rtol=0, atol=SOLVED)
-    path.plot()
+    assert path.plot(labels=["way", "other way"]).get_legend().get_texts()[1].get_text() == "other way"
+    table = path.to_dict()
+    assert list(table)[:4] == ["phase", "t", "x[0]", "x[1]"]
+    for k, phase in enumerate(path.phases):
+        rows = np.array(table["phase"]) == k
+        np.testing.assert_array_equal(np.array(table["velocity[0]"])[rows], phase.table()["velocity[0]"])
+    assert np.all(np.isnan(np.array(table["x[1]"])[rows]))
+    assert "<svg" in path._repr_html_()
 
 
 def test_conditions_and_costs_join_phases():
