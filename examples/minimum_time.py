@@ -27,10 +27,10 @@ def problem():
     return cg.ControlProblem(
         lambda t, x, v: v[0] ** 2 / 2,
         (0.0, 1.0),
-        start=[0.0],
-        end=[1.0],
-        start_velocity=[0.0],
-        end_velocity=[0.0],
+        start=0.0,
+        end=1.0,
+        start_velocity=0.0,
+        end_velocity=0.0,
         force=lambda t, x, v, u: u,
         running_cost=lambda t, x, v, u: 1,
         controls=1,
@@ -41,7 +41,7 @@ def problem():
 
 def buffered():
     """Arriving with any speed, which costs its energy times a price."""
-    return replace(problem(), end_velocity=[None], terminal_cost=lambda t, x, v: PRICE * v[0] ** 2 / 2)
+    return replace(problem(), end_velocity=None, terminal_cost=lambda t, x, v: PRICE * v[0] ** 2 / 2)
 
 
 def slow_to_turn():
@@ -51,19 +51,12 @@ def slow_to_turn():
 
 def geared():
     """A motor with bounded torque drives the load through a gear; its ratio p[0] is free."""
-    return cg.ControlProblem(
-        lambda t, x, v, p: (1 + INERTIA * p[0] ** 2) * v[0] ** 2 / 2,
-        (0.0, 1.0),
-        start=[0.0],
-        end=[1.0],
-        start_velocity=[0.0],
-        end_velocity=[0.0],
+    return replace(
+        problem(),
+        lagrangian=lambda t, x, v, p: (1 + INERTIA * p[0] ** 2) * v[0] ** 2 / 2,
         force=lambda t, x, v, u, p: p[0] * u[0],
         running_cost=lambda t, x, v, u, p: 1,
-        controls=1,
-        control_bounds=(-THRUST, THRUST),
-        duration_bounds=(0.1, 10.0),
-        parameters=[1.0],
+        parameters=1.0,
         parameter_bounds=(0.1, 10.0),
     )
 

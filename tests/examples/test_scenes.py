@@ -858,6 +858,13 @@ def climbs_by_tables(module, path):
     np.testing.assert_allclose(flown.y[:, -1], path.x[:, -1], rtol=0, atol=2e-3)  # km, km/s, rad, t
 
 
+def thrusters_switch(module, path):
+    assert path.cost == pytest.approx(module.PUBLISHED, rel=1e-4)
+    on = path.control.values > 0.5
+    assert np.mean(np.minimum(path.control.values, 1 - path.control.values)) < 0.02
+    assert (on.sum(axis=0) == 0).mean() > 0.2  # it drifts
+
+
 TABLE = [
     ("lambert", vallados_velocities, "the Lambert transfer has Vallado's velocities"),
     ("lambert", keplers_invariants, "the Lambert transfer conserves energy and angular momentum"),
@@ -942,6 +949,7 @@ TABLE = [
     ("moon_landing", landed_by_both_solvers, "fatrop lands as IPOPT does"),
     ("two_stage_rocket", steered_by_a_linear_tangent, "the rocket of two stages steers by a linear tangent"),
     ("two_stage_rocket", both_solvers_drop_the_stage, "fatrop drops the stage as IPOPT does"),
+    ("free_flying_robot", thrusters_switch, "the robot drifts, and its thrusters switch, with the published fuel"),
     ("robertson", reacts_as_published, "Robertson's reactions are as published, the third one without a rate"),
     ("pinene", squares_as_published, "the constants of pinene leave the published sum of squares"),
     ("climb", climbs_by_tables, "the aircraft climbs nearly as fast as published, and flies there when integrated"),
