@@ -75,6 +75,7 @@ def test_times_ends_and_momenta_may_be_others():
 
 
 @pytest.mark.parametrize("span", [(5, 8), *slow([2, 3])])
+@pytest.mark.slow
 def test_a_guess_of_another_problem_need_not_have_its_breakpoints(span):
     kinked = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 - ca.fabs(t - 1) * x[0] ** 2, (0, 3), [1.0], [1.0], breakpoints=[1.0]

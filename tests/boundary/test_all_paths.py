@@ -38,6 +38,7 @@ def test_both_paths_of_bratu_are_found_to_a_tolerance():
     assert found.alternating_sum is None
 
 
+@pytest.mark.slow
 def test_paths_with_free_ends_are_counted_once_for_all_turns():
     found = cg.paths(cg.BoundaryProblem(pendulum, (0.0, 5.0), [None], [None]), cg.Galerkin(6), 8, periods=[TURN])
     assert [path.morse_index for path in found] == [0, 1, 1, 2]  # upright, two swings with half a period of 5, hanging
@@ -69,6 +70,7 @@ def test_both_arcs_of_a_great_circle_are_found():
     assert [path.morse_index for path in found] == [0, 1]
 
 
+@pytest.mark.slow
 def test_what_no_mesh_resolves_is_dropped_and_counted():
     step = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.floor(5 * x[0]) * x[0], (0, 1), [0.0], [1.0])
     with pytest.raises(cg.ConvergenceError, match="no path was found in 20 solves"):

@@ -328,6 +328,7 @@ def test_the_morse_index_on_a_constraint_is_that_in_the_angle(duration):
     assert path.morse_index == angle.morse_index
 
 
+@pytest.mark.slow
 def test_fifty_coupled_rods_are_solved():
     """Pendulums side by side, each coupled to the next by a spring between their masses."""
     count = 50

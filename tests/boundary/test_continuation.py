@@ -89,6 +89,7 @@ def test_the_zero_path_is_walked():
 
 
 @pytest.mark.usefixtures("headless")
+@pytest.mark.slow
 def test_a_new_picture_is_labeled_by_the_parameter(round_the_fold):
     axes = round_the_fold.plot(lambda path: path(0.5)[0])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("p[0]", "height")
@@ -101,6 +102,7 @@ def test_a_new_picture_is_labeled_by_the_parameter(round_the_fold):
 
 
 @pytest.mark.usefixtures("headless")
+@pytest.mark.slow
 def test_a_branch_without_a_height_is_drawn_by_the_root_mean_square_of_its_paths(round_the_fold):
     axes = round_the_fold.plot()
     assert axes.get_ylabel() == "root mean square of x"
@@ -346,6 +348,7 @@ def folds_of_s_curve():
 
 @pytest.mark.parametrize("origin", [100.0, *slow(0.0)])
 @pytest.mark.parametrize("ends", [(1.0, 200.0), *slow([200.0, 1.0])])
+@pytest.mark.slow
 def test_a_branch_is_not_left_for_another_sheet_of_an_s_curve(ends, origin):
     """The folds are at heights of 0.6 and 1.5, and the last path is 26 high."""
     branch = cg.continuation(s_curve(ends[0], origin), [ends[1]], intervals=20)
@@ -355,6 +358,7 @@ def test_a_branch_is_not_left_for_another_sheet_of_an_s_curve(ends, origin):
     assert [path.morse_index for path in branch.trajectories][:: len(branch.trajectories) - 1] == [0, 0]
 
 
+@pytest.mark.slow
 def test_a_branch_that_turns_back_ends_where_it_began_even_near_zero():
     """Where the parameter is near zero the other path is far: there the parameters must not leave their line."""
     hardening = cg.BoundaryProblem(
@@ -475,6 +479,7 @@ def test_swings_shrink_to_rest_where_they_meet_their_mirror_images(method, inter
     assert fold.parameters[0] == pytest.approx(-1, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_branch_ends_where_the_mesh_does_not_resolve_its_paths():
     """Bratu's problem in a ball, whose paths are steeper and steeper at the center.
 
@@ -510,6 +515,7 @@ def test_a_branch_that_begins_where_it_has_no_rate_is_refused(force):
 
 
 @pytest.mark.parametrize(("depth", "where", "waves"), [(1.11e-5, 0.879, 3.257), *slow((1.41e-3, 1.2, 2.19))])
+@pytest.mark.slow
 def test_a_branch_ends_before_a_fold_that_lies_just_beyond_its_end(depth, where, waves):
     """Back at p = 0 there is one rest position on either side of that fold."""
     before = where - np.sqrt(depth)

@@ -308,6 +308,7 @@ def test_half_a_swing_through_a_given_start_is_not_periodic(way):
     assert whole.t[-1] == pytest.approx(4 * ellipk(0.5), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_search_through_a_given_start_finds_whole_swings():
     found = cg.paths(level(), cg.Galerkin(8), 12, count=2)
     for path in found:

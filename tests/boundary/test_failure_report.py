@@ -56,6 +56,7 @@ def root_by_newton(y):
 
 
 @pytest.mark.parametrize("engine", [cg.newton, *slow(cg.rootfinder, cg.ipopt)])
+@pytest.mark.slow
 def test_a_rootfinder_in_the_lagrangian_that_fails_at_the_guess_is_named_with_its_time(engine):
     with pytest.raises(cg.ConvergenceError, match=r"calls a casadi Function that fails at t = 0\.0563508") as caught:
         cg.solve(under_a_root(-0.5, root_by_newton), cg.Galerkin(3), 2, solver=engine)

@@ -135,6 +135,7 @@ def test_a_row_of_pendulums_swings_from_the_straight_line(count):
     assert np.max(np.abs(swing.y[:count, -1] - path.x[:, -1])) < 1e-4
 
 
+@pytest.mark.slow
 def test_a_layer_is_found_from_the_straight_line():
     troesch = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cosh(50 * x[0]), (0, 1), [0.0], [1.0])
     path = cg.solve(troesch, tol=TOL)
@@ -192,6 +193,7 @@ def forced(stiffness, start, end, force):
 
 
 @pytest.mark.parametrize(("stiffness", "tol"), [(1e-3, 1e-9), *slow((1e-6, 1e-3))])
+@pytest.mark.slow
 def test_a_corner_layer_is_found_under_a_growing_force(stiffness, tol):
     """Cash's test problem 20: from a straight line to a corner at 0.745, which a straight line does not tell of."""
 
@@ -248,6 +250,7 @@ def test_paths_of_a_family_are_refused():
         cg.solve(problem, tol=1e-6)
 
 
+@pytest.mark.slow
 def test_ends_that_are_nearly_conjugate_are_named():
     """After 500 half-turns of an oscillator: the mesh leaves out little, but cannot tell how far it swings."""
     problem = cg.BoundaryProblem(
@@ -257,6 +260,7 @@ def test_ends_that_are_nearly_conjugate_are_named():
         cg.solve(problem, tol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_guess_that_is_a_path_is_kept_where_a_coarse_mesh_would_lose_it():
     """A comet passes the sun twice; from lines between 2,000 of its places Newton's method led to another path."""
     start = cg.InitialProblem(kepler, (0.0, 7.0), [1.0, 0.0], velocity=[0.0, 0.55])

@@ -207,6 +207,7 @@ def test_meshes_grade_towards_a_layer():
     assert steps[-1] > 0.05
 
 
+@pytest.mark.slow
 def test_the_roundoff_floor_is_named_and_the_best_path_attached():
     problem, exact, guess = comet(0.9)
     with pytest.raises(cg.ConvergenceError, match=r"1e-15 asked, .* is the roundoff floor here") as caught:
@@ -222,6 +223,7 @@ def test_the_roundoff_floor_is_named_and_the_best_path_attached():
         (cg.Limits(intervals=9), "the mesh would need .* intervals"),
     ],
 )
+@pytest.mark.slow
 def test_limits_stop_a_refinement_with_the_best_path(limits, message):
     with pytest.raises(cg.ConvergenceError, match=message) as caught:
         cg.solve(cg.BoundaryProblem(boundary_layer(1e-8), (0, 1), [1.0], [0.0]), tol=1e-9, limits=limits)
@@ -386,6 +388,7 @@ def test_a_path_that_is_barely_tied_is_found_where_doubles_tell_it(tol):
 
 @pytest.mark.parametrize("tol", [1e-2, *slow(1e-3)])
 @pytest.mark.parametrize(("width", "place"), [(0.05, 0.1), *slow((0.01, 0.4))])
+@pytest.mark.slow
 def test_a_kink_that_no_tail_holds_is_not_pinned_by_the_mesh(width, place, tol):
     """Every place of it solves the equations in doubles; a mesh chooses one, and no Newton step there says so."""
     line = kink(1 / width)

@@ -43,6 +43,7 @@ def geodesics():
     return cg.paths(problem, cg.Galerkin(8), 20, count=13)
 
 
+@pytest.mark.slow
 def test_the_known_swings_of_the_pendulum_are_found(swings):
     """Computed by shooting in higher precision: velocity at the start, action and Morse index."""
     assert swings.solves <= SOLVES
@@ -84,6 +85,7 @@ def test_both_paths_of_bratu_are_found(rate):
         np.testing.assert_allclose(path(0.5), height, rtol=1e-10, atol=0)
 
 
+@pytest.mark.slow
 def test_thirteen_geodesics_join_two_points_of_a_torus(geodesics):
     assert len(geodesics) == 13
     assert geodesics.solves <= SOLVES
@@ -124,6 +126,7 @@ def test_the_same_seed_gives_the_same_paths_and_another_the_same_set(hops, monke
     np.testing.assert_allclose([path.action for path in other], [path.action for path in hops], rtol=1e-9, atol=0)
 
 
+@pytest.mark.slow
 def test_of_paths_that_a_symmetry_takes_to_one_another_one_is_returned(hops):
     folded = cg.paths(WELL, cg.Galerkin(6), 12, symmetries=[np.negative])
     assert [path.morse_index for path in hops] == [0, 0, 1, 1, 2, 2, 3]
@@ -326,6 +329,7 @@ def test_only_boundary_problems_have_several_paths():
         cg.paths(falling, cg.Galerkin(4), 4)
 
 
+@pytest.mark.slow
 def test_all_four_normals_from_a_point_inside_an_ellipse_are_found():
     """Apollonius: from inside its evolute, four straight lines meet an ellipse at right angles."""
     point, axes = np.array([0.3, 0.1]), np.array([2.0, 1.0])
@@ -349,6 +353,7 @@ def test_all_four_normals_from_a_point_inside_an_ellipse_are_found():
     np.testing.assert_allclose(ends[np.argsort(ends[:, 0])], feet[np.argsort(feet[:, 0])], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_paths_on_a_circle_in_the_plane_are_those_in_its_angle(swings):
     """Up to whole turns: in the plane a swing that goes round and one that does not have the same ends."""
 

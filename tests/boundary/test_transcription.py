@@ -148,6 +148,7 @@ def test_one_chord_between_given_ends_has_nothing_free_but_perhaps_its_duration(
     np.testing.assert_allclose(path.momentum, shot.momentum, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_fifty_thousand_intervals_keep_the_error_floor():
     path = cg.solve(BY_NAME["short pendulum"].problem, cg.Galerkin(2), intervals=50_000)
     assert path(0.5)[0] == pytest.approx(0.5643038922354, abs=1e-12)  # given to 13 decimals

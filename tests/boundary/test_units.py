@@ -96,6 +96,7 @@ def test_a_shot_is_the_same_in_any_units(number):
 
 
 @pytest.mark.parametrize("drag", [("drag",), ()], ids=["drag", "none"])
+@pytest.mark.slow
 def test_multipliers_and_shooting_are_the_same_in_any_units(drag):
     def found(units):
         action, length, time = units

@@ -68,6 +68,7 @@ def test_free_ends_stay_on_the_constraint_and_cost_what_they_do_in_angles():
     assert path.x[:, -1] @ path.end_velocity == pytest.approx(0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_tolerance_is_met_and_the_force_replayed_on_the_constraint():
     path = cg.solve(cartesian_pendulum(), tol=1e-7, guess=guess)
     assert abs(path.cost / EXACT - 1) <= path.error_estimate <= 1e-7

@@ -51,6 +51,7 @@ def flown(path):
 
 
 @pytest.mark.parametrize("tol", [1e-4, *slow(1e-6)])
+@pytest.mark.slow
 def test_an_angle_is_found_that_can_be_flown(tol):
     path = arrived(tol)
     np.testing.assert_allclose(flown(path), [2, 1, 0, 0], rtol=0, atol=tol)
@@ -77,6 +78,7 @@ def continued(path):
     return values, found.reshape(-1, chain.controls).T
 
 
+@pytest.mark.slow
 def test_turns_are_taken_away():
     path = arrived(1e-6)
     _, found = continued(scrambled(path))

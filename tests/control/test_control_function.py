@@ -76,6 +76,7 @@ def test_ends_beyond_the_bounds_of_positions_have_no_answer(solver):
         assert np.isnan(float(f(**arguments(problem, path, **off))["cost"]))
 
 
+@pytest.mark.slow
 def test_ends_off_the_constraint_have_no_answer():
     rod = cartesian_pendulum(end=[1.0, 0.0])
     path = cg.solve(rod, cg.Galerkin(4), 8, guess=lambda t: [np.sin(np.pi * t / 6), -np.cos(np.pi * t / 6)])

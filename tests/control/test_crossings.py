@@ -148,6 +148,7 @@ def test_the_costate_says_what_a_small_force_or_rate_costs_on_both_sides(pushed)
 
 
 @pytest.mark.parametrize("make", [burning, *slow(staged)])
+@pytest.mark.slow
 def test_a_tolerance_is_met_with_jumps(make):
     exact = cg.solve(make(), cg.Galerkin(12), 12)
     path = cg.solve(make(), tol=1e-6, intervals=7)
@@ -289,6 +290,7 @@ def test_a_waypoint_leaves_the_bounds_of_positions_as_they_are():
         assert np.max(cg.solve(problem, cg.Galerkin(3), 8).x) == pytest.approx(0.7, abs=SOLVED)
 
 
+@pytest.mark.slow
 def test_a_waypoint_that_asks_for_nothing_at_a_free_time_is_named():
     """The path is known, but not when the waypoint is passed."""
     free = double_integrator(

@@ -14,6 +14,7 @@ from casadi_galerkin.control.two_comparisons import SAFETY
 
 @pytest.mark.parametrize("tol", [1e-2, *slow(1e-4)])
 @pytest.mark.parametrize("degree", [4, *slow(5)])
+@pytest.mark.slow
 def test_estimate_is_twice_a_sharp_one_on_a_smooth_path(degree, tol):
     path = cg.solve(cart_pole(), cg.Galerkin(degree), tol=tol)
     assert path.method.degree == degree
@@ -36,6 +37,7 @@ def over_bumps():
 
 
 @pytest.mark.parametrize(("degree", "tol"), [(3, 1e-4), *slow((5, 1e-4))])
+@pytest.mark.slow
 def test_estimate_covers_the_error_where_the_phases_are_free(degree, tol):
     """Positions at the same parts of a phase differ by half as much as those at the same time."""
     path = cg.solve(over_bumps(), cg.Galerkin(degree), tol=tol)
@@ -72,6 +74,7 @@ def test_a_path_that_the_cost_leaves_open_is_refused_and_its_cost_is_known():
     assert abs(cg.solve(task, cost_tol=1e-5).cost / cost - 1) < 1e-12
 
 
+@pytest.mark.slow
 def test_a_duration_that_the_cost_hardly_knows_is_not_called_known():
     """It is 2 up to a fourth power; solved from where it had come to, a higher degree came to the same one."""
     task = double_integrator(
@@ -89,6 +92,7 @@ def test_a_duration_that_the_cost_hardly_knows_is_not_called_known():
 
 
 @pytest.mark.parametrize(("tol", "most"), [(1e-4, 20), *slow((1e-6, 50))])
+@pytest.mark.slow
 def test_a_bound_of_a_component_whose_rate_is_controlled_needs_no_square_root(tol, most):
     """Least ∫ (u² / 2 - 4 x) dt with dx/dt = u and x below a cap, where the path a t - 2 t² arrives at rest."""
     cap = 0.3
@@ -141,6 +145,7 @@ def test_a_path_constraint_of_no_values_limits_nothing():
         *slow((0.00115, 0.2827, 1.19, {"cost_tol": 1e-4})),
     ],
 )
+@pytest.mark.slow
 def test_an_obstacle_narrower_than_the_points_are_apart_counts_in_the_cost(width, when, height, asked):
     """One point of the path meets it, and it rises between the points.  To pass at its height costs almost as much."""
     bump = lambda t, x, v, u: x[0] - height * ca.exp(-(((t - when) / width) ** 2))  # noqa: E731
@@ -150,6 +155,7 @@ def test_an_obstacle_narrower_than_the_points_are_apart_counts_in_the_cost(width
     assert path.cost_error <= asked.get("cost_tol", asked.get("tol"))
 
 
+@pytest.mark.slow
 def test_a_path_constraint_that_is_not_finite_at_an_end_does_not_stop_the_refinement():
     """A glide slope down to the origin, where it is zero over zero."""
     glide = plane(
@@ -179,6 +185,7 @@ def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
 
 
 @pytest.mark.parametrize("asked", [{"tol": 1e-2}, {"cost_tol": 1e-3}], ids=list)
+@pytest.mark.slow
 def test_a_wall_thinner_than_an_interval_is_not_flown_through(asked):
     """An ellipse: to move along the path changes its distance most, and does not help."""
     wall = lambda t, x, v, u: ((x[0] - 0.53) / 0.005) ** 2 + ((x[1] - 0.03) / 0.1) ** 2  # noqa: E731
@@ -212,6 +219,7 @@ def test_an_impulse_shorter_than_the_distance_of_the_first_point_is_seen():
     assert error < min(1e-6, 2 * path.error_estimate)
 
 
+@pytest.mark.slow
 def test_a_force_that_an_overshoot_of_its_control_leaves_undefined_does_not_stop_the_refinement():
     """u^1.5 is not a number where the polynomial of u is below zero, beside the jump inside an interval."""
     start, end = 0.0236, 0.4505
@@ -250,6 +258,7 @@ def test_a_fit_without_residual_needs_no_finer_mesh_than_others(tol):
     assert path.cost < 1e-12
 
 
+@pytest.mark.slow
 def test_an_offset_of_the_path_does_not_hide_errors_of_the_cost():
     """A curve around 7000 is followed as one around zero is, with the same errors."""
 

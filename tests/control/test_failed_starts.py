@@ -36,6 +36,7 @@ def test_a_longer_duration_that_leads_nowhere_is_told():
         cg.solve(far, cg.Galerkin(3), intervals=10)
 
 
+@pytest.mark.slow
 def test_the_straight_line_is_begun_from_where_a_guess_leads_nowhere():
     """Of 40 guesses for this acrobot, 11 led nowhere."""
     program = cg.transcribe(guesses.acrobot(), cg.Galerkin(guesses.DEGREE), guesses.INTERVALS)
@@ -76,6 +77,7 @@ def test_a_cost_with_a_kink_of_the_position_that_stops_the_solver_is_named(costs
 
 
 @pytest.mark.parametrize("kinked", [lambda u: ca.if_else(u > 0, u, 0), *slow(lambda u: ca.fmax(0, u))])
+@pytest.mark.slow
 def test_a_cost_with_a_kink_that_stops_the_solver_is_named(kinked):
     problem = double_integrator(running_cost=lambda t, x, v, u: kinked(u[0]) + u[0] ** 2, control_bounds=(-20.0, 20.0))
     with pytest.raises(cg.ConvergenceError, match=r"Maximum Iterations .* cost holds .*fmax, fmin, a comparison"):

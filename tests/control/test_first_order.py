@@ -41,6 +41,7 @@ def test_the_error_is_at_most_what_is_said(tol):
 
 
 @pytest.mark.parametrize("name", ["shock", *slow("Sturm-Liouville", "Emden", "electrodes", "Cash 33", "Mathieu")])
+@pytest.mark.slow
 def test_errors_of_the_benchmark_are_at_most_what_is_said(name):
     benchmark = runpy.run_path(str(EXAMPLES / "benchmark" / "first_order.py"))
     case = benchmark["CASES"][name]

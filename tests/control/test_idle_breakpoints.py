@@ -74,6 +74,7 @@ SCENES = {
 
 
 @pytest.mark.parametrize("name", ["a bad guess", *slow(*(name for name in SCENES if name != "a bad guess"))])
+@pytest.mark.slow
 def test_the_path_is_known_and_the_breakpoint_is_the_switch(name):
     """An optimum that may choose the breakpoint has it elsewhere, and the switch between two points that miss it."""
     tol, (make, exact) = 1e-6, SCENES[name]
@@ -86,6 +87,7 @@ def test_the_path_is_known_and_the_breakpoint_is_the_switch(name):
     assert path.problem.duration_bounds == make().duration_bounds
 
 
+@pytest.mark.slow
 def test_a_rocket_lands_as_in_closed_form():
     tol = 1e-4
     scene = script("moon_landing")
@@ -117,6 +119,7 @@ def test_breakpoints_that_guess_no_switch_do_no_harm():
         ),
     ],
 )
+@pytest.mark.slow
 def test_bounds_of_phases_say_where_the_breakpoint_may_be(bounds, guess):
     """The switch at 1 lies outside of them, and the sum of the durations may be any: the path is the same."""
     path = cg.solve(race(breakpoints=[guess], t_span=(0.0, 2.1), duration_bounds=bounds), tol=1e-5)
@@ -151,6 +154,7 @@ def test_only_breakpoints_that_say_nothing_are_left_out():
     assert with_joined_phases(double_integrator(breakpoints=[0.3])).breakpoints == (0.3,)
 
 
+@pytest.mark.slow
 def test_a_breakpoint_at_a_given_time_stays():
     """From the speed 1/2 at 1/8, with a force of 2: full thrust for a, the brake for a + 1/4."""
     doubled = race(
@@ -181,6 +185,7 @@ def test_switches_on_both_sides_of_a_waypoint_are_named():
     np.testing.assert_allclose(path.problem.breakpoints, times, rtol=0, atol=3e-6)
 
 
+@pytest.mark.slow
 def test_a_breakpoint_beside_a_switch_is_no_obstacle():
     """Where a joint beside the switch was moved onto the breakpoint, 15 levels in a row came no nearer."""
     when = 1 - 1e-2

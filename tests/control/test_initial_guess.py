@@ -129,6 +129,7 @@ def test_controls_begin_at_zero_only_where_that_is_inside_of_their_bounds():
     np.testing.assert_array_equal(begun, np.broadcast_to([0, 2.5, -2, 0, 2.5, 0], begun.shape))
 
 
+@pytest.mark.slow
 def test_thrusters_that_only_push_begin_between_their_bounds():
     """From zero, the quadrotor finds nothing on 150 intervals within 1000 iterations."""
     mass, inertia, arm, weight = 0.5, 0.004, 0.15, 0.5 * 9.81
@@ -151,6 +152,7 @@ def test_thrusters_that_only_push_begin_between_their_bounds():
     assert path.cost == pytest.approx(9.8106, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_an_epidemic_begins_without_vaccinations():
     """From half of the most, susceptible and infected leave all bounds on a coarse mesh, and cost less than nothing."""
     spread, cured = 1.892, 0.567

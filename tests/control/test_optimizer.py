@@ -75,6 +75,7 @@ def test_too_few_iterations_point_to_an_unbounded_cost_only_where_it_is_negative
         cg.solve(swing, cg.Galerkin(3), 10, solver=cg.ipopt.with_options(max_iter=4))
 
 
+@pytest.mark.slow
 def test_an_optimum_that_roundoff_keeps_from_the_tolerance_is_found():
     def joined(factor):
         return cg.ControlProblem(

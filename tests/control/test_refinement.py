@@ -189,12 +189,14 @@ def wall_cost():
 
 
 @pytest.mark.parametrize(("intervals", "tol"), [(7, 1e-3), *slow((8, 1e-5))])
+@pytest.mark.slow
 def test_a_bound_of_the_position_is_touched_at_the_exact_cost(intervals, tol):
     path = cg.solve(wall(), tol=tol, intervals=intervals)
     assert path.error_estimate <= tol
     assert path.cost == pytest.approx(wall_cost(), rel=tol / 10)  # of second order in the time of the touch
 
 
+@pytest.mark.slow
 def test_a_loose_tolerance_takes_less_work():
     loose, tight = (cg.solve(pendulum(3.0), tol=tol) for tol in (1e-3, 1e-8))
     assert len(loose.polynomial.values[0]) < len(tight.polynomial.values[0])
@@ -236,6 +238,7 @@ def test_a_mesh_for_the_cost_alone_does_not_resolve_a_singular_arc():
 
 
 @pytest.mark.parametrize("asked", ["tol", *slow("cost_tol")])
+@pytest.mark.slow
 def test_a_control_that_jumps_where_the_speed_limit_is_met_is_seen(asked):
     """Where the speed limit is met the control jumps; here degrees 6 and 8 agree to 1e-12 on a time 3e-6 too short."""
     problem = double_integrator(
@@ -254,6 +257,7 @@ def test_a_control_that_jumps_where_the_speed_limit_is_met_is_seen(asked):
 
 @pytest.mark.parametrize("asked", [{"tol": 1e-7}, {"cost_tol": 1e-9}], ids=str)
 @pytest.mark.parametrize("stated", ["control_bounds", *slow("path_constraint")])
+@pytest.mark.slow
 def test_a_bound_of_the_control_that_no_point_meets_is_seen(stated, asked):
     """It acts in the first thousandth; degrees 8 and 10 on the same mesh agreed to 1e-11 on a path 9e-7 away."""
     most, law = 6 - 12e-3, (lambda t, x, v, u: u, -np.inf, 6 - 12e-3)
@@ -269,6 +273,7 @@ def test_a_bound_of_the_control_that_no_point_meets_is_seen(stated, asked):
     assert len(path.t) < 20
 
 
+@pytest.mark.slow
 def test_a_limit_of_the_speed_that_no_point_meets_is_seen():
     """It acts in the middle, between two points; both degrees agreed to 5e-9 on a path 1.5e-6 away."""
     most = 1.5 - 2e-5
@@ -319,6 +324,7 @@ def test_a_mesh_with_too_short_an_interval_is_a_limit(monkeypatch):
         cg.solve(late_start(), tol=1e-6)
 
 
+@pytest.mark.slow
 def test_error_of_the_cost_is_told_where_a_limit_is_reached():
     with pytest.raises(cg.LimitReached, match="estimated error of") as caught:
         cg.solve(cart_pole(), cost_tol=1e-12, limits=cg.Limits(levels=1))
@@ -341,12 +347,14 @@ def with_price(price):
 
 
 @pytest.mark.parametrize("price", [5e-10, *slow(1e6)])
+@pytest.mark.slow
 def test_the_unit_of_the_cost_changes_nothing(price):
     """The solver's tolerances are absolute: from an earlier path a small cost is measured in its own size."""
     path, alike = cg.solve(with_price(price), tol=1e-5), cg.solve(with_price(1.0), tol=1e-8)
     assert abs(path.cost / alike.cost / price - 1) <= path.cost_error <= path.error_estimate <= 1e-5
 
 
+@pytest.mark.slow
 def test_lines_of_the_levels(capsys):
     path = cg.solve(cart_pole(), tol=1e-4, verbose=1)
     lines = capsys.readouterr().out.splitlines()
@@ -369,6 +377,7 @@ LIMITS = {
 
 
 @pytest.mark.parametrize("name", LIMITS)
+@pytest.mark.slow
 def test_best_path_is_attached_when_a_limit_is_reached(name):
     limits, message = LIMITS[name]
     with pytest.raises(cg.LimitReached, match=message) as caught:
@@ -468,6 +477,7 @@ def test_best_path_is_attached_when_the_time_is_up(monkeypatch):
     assert caught.value.path.cost == pytest.approx(58.8, abs=0.1)
 
 
+@pytest.mark.slow
 def test_time_is_a_limit_within_a_level():
     with pytest.raises(
         cg.LimitReached, match=r"before there was a path.*Maximum WallTime Exceeded.*Allow more"
@@ -495,6 +505,7 @@ def test_a_level_that_fails_is_tried_on_a_finer_mesh(monkeypatch, failing):
     assert true_error(path, *resolved(cart_pole)) <= 1e-4
 
 
+@pytest.mark.slow
 def test_an_array_as_guess_is_not_tried_on_another_mesh():
     guess = np.linspace(0.0, 1.0, 8 * 5 + 1)[None, :]
     with pytest.raises(cg.ConvergenceError, match="Infeasible"):
@@ -522,6 +533,7 @@ def test_bad_arguments_are_named():
 
 
 @pytest.mark.parametrize("breakpoints", [(1.5, 4.5), *slow([3.0])])
+@pytest.mark.slow
 def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
     """Its breakpoints were taken for those of the mesh: refused where their number differs, else the mesh is skewed."""
     guess = cg.solve(double_integrator(t_span=(0.0, 6.0), breakpoints=breakpoints), cg.Galerkin(3), 6)
@@ -562,6 +574,7 @@ def test_where_a_coarse_path_leads_nowhere_the_first_guess_is_tried(monkeypatch)
     assert path.cost == pytest.approx(58.8077, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_two_controls_may_switch_at_the_same_time():
     """Two joints, one for each, were as close as rounding, and refused."""
     tol = 1e-6

@@ -114,6 +114,7 @@ def measured(path):
 
 
 @pytest.mark.parametrize("name", ["bounded control", *slow(*PROBLEMS)])
+@pytest.mark.slow
 def test_derivatives_are_those_of_problems_solved_again(name):
     problem = PROBLEMS[name]()
     path = solved(problem)
@@ -207,6 +208,7 @@ def test_derivatives_of_the_function_are_not_finite_where_a_bound_hardly_acts():
     assert not np.isfinite(f.jacobian()(**given)["jac_cost_end"].full()).any()
 
 
+@pytest.mark.slow
 def test_an_optimizer_around_an_optimization_finds_the_best_design():
     problem = pushed()
     path = solved(problem)

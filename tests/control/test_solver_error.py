@@ -67,6 +67,7 @@ def test_controls_that_share_the_work_anyhow_leave_no_doubt_of_the_path():
     np.testing.assert_allclose(path.cost, 6, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_component_that_a_symmetry_keeps_at_zero_leaves_no_doubt_of_the_path():
     """Straight over a hill of cost; what rounding made of the second component was compared with itself."""
     ends = {"start": [-1.0, 0.0], "end": [1.0, 0.0], "start_velocity": [0.0] * 2, "end_velocity": [0.0] * 2}
@@ -173,6 +174,7 @@ def coupled_masses(lengths, time, price, force):
 
 
 @pytest.mark.parametrize("tolerance", ["tol", *slow("cost_tol")])
+@pytest.mark.slow
 def test_no_cost_is_called_known_that_units_keep_from_the_solver(tolerance):
     """It was 6 % too high in these, and called known to 1e-9: both degrees ended where slopes were small in numbers."""
     units = {"lengths": [1.4e-5, 1.3e-4, 4.1e-4], "time": 3.4e-2, "price": 1.3e-7, "force": 2e4}

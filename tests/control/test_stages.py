@@ -90,6 +90,7 @@ def test_cost_and_joints_of_components_with_rates_have_twice_the_degree(make, de
 
 
 @pytest.mark.parametrize("changes", [{}, {"hold": True}, {"path_constraint": (lambda t, x, v, u: x[2], -9, 6.5)}])
+@pytest.mark.slow
 def test_the_costate_says_what_a_small_force_or_rate_costs(changes):
     method, step = cg.Galerkin(5, quadrature=cg.lobatto(6)), 1e-3
     paths = [cg.solve(driven(**changes), method, 12, solver=solver) for solver in (cg.ipopt, cg.fatrop)]

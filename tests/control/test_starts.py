@@ -28,6 +28,7 @@ def above(t):
     return [t, 0.4 * np.sin(np.pi * t)]
 
 
+@pytest.mark.slow
 def test_the_cheapest_optimum_is_returned_and_the_others_are_told():
     one, several = (cg.solve(round_a_disc(), METHOD, 20, guess=above, starts=starts) for starts in (1, 6))
     assert one.cost == pytest.approx(ABOVE, rel=1e-5)  # the disc holds at points only
@@ -36,12 +37,14 @@ def test_the_cheapest_optimum_is_returned_and_the_others_are_told():
     assert several.iterations > one.iterations
 
 
+@pytest.mark.slow
 def test_the_first_start_is_the_guess_and_the_others_are_always_the_same():
     first, second = (cg.solve(round_a_disc(), METHOD, 10, guess=above, starts=3) for _ in range(2))
     assert first.iterations == second.iterations
     np.testing.assert_array_equal(first.polynomial.values, second.polynomial.values)
 
 
+@pytest.mark.slow
 def test_the_best_is_refined_to_the_tolerance():
     path = cg.solve(round_a_disc(), METHOD, 4, tol=1e-4, guess=above, starts=6)
     assert path.cost == pytest.approx(BELOW, rel=1e-4)
@@ -80,6 +83,7 @@ def test_a_random_path_where_a_callable_is_not_finite_fails_and_a_guess_there_is
         cg.solve(double_integrator(start=[-1.0], **uphill), cg.Galerkin(3), 6, starts=4)
 
 
+@pytest.mark.slow
 def test_the_time_limit_holds_for_all_starts_together(monkeypatch):
     monkeypatch.setattr(control_refinement, "STARTS_TIME_FRACTION", 0.005)  # of a time that a slow machine has, too
     path = cg.solve(round_a_disc(), METHOD, 4, tol=1e-3, starts=10**6, limits=cg.Limits(seconds=60))

@@ -47,6 +47,7 @@ def test_minimum_time_is_exact_with_a_joint_at_the_jump(degree):
     assert path.control_misfit.max() <= ROUNDOFF
 
 
+@pytest.mark.slow
 def test_cart_pole_reaches_kellys_cost():
     assert cg.solve(cart_pole(), cg.Galerkin(4), intervals=20).cost == pytest.approx(58.80767, abs=1e-3)
     for intervals in (20, 60):  # it does not lose its way on a fine mesh

@@ -60,6 +60,7 @@ def test_a_control_is_cut_at_its_bounds_and_keeps_its_impulse(bounds):
     np.testing.assert_allclose(expression(times[None]).full(), control(times), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_a_tolerance_returns_can_be_flown():
     path = cg.solve(in_least_time(), tol=1e-4)
     np.testing.assert_allclose(flown(path, path.control), [1, 0], rtol=0, atol=1e-4)

@@ -187,6 +187,7 @@ def test_the_defect_of_a_problem_without_momenta_is_of_its_values():
 
 
 @pytest.mark.usefixtures("headless")
+@pytest.mark.slow
 def test_summary_and_plot(capsys):
     path = cg.transcribe(minimum_time(), cg.Galerkin(2), 4).solve(verbose=1)
     assert "cost        2" in capsys.readouterr().out
@@ -207,6 +208,7 @@ def test_multipliers_of_a_path_constraint_are_what_its_bound_is_worth():
     assert path.path_multipliers(1.0)[0] > 1 > 1e-6 > path.path_multipliers(0.25)[0] >= 0  # held, not reached
 
 
+@pytest.mark.slow
 def test_a_mesh_that_misses_the_layers_is_told():
     layers = first_order(
         t_span=(0.0, 1000.0),

@@ -82,6 +82,7 @@ def test_a_step_in_time_is_enclosed_by_an_interval_that_cannot_matter(when, tol)
 
 
 @pytest.mark.parametrize("when", [1.7, *slow(1.1)])
+@pytest.mark.slow
 def test_a_step_in_time_is_refused_with_its_time(when):
     with pytest.raises(cg.LimitReached, match=r"near t = .*breakpoint") as caught:
         cg.solve(stepped(when), tol=1e-12)
@@ -126,6 +127,7 @@ def test_a_step_in_time_that_is_named_is_resolved(before, when, tol):
         ),
     ],
 )
+@pytest.mark.slow
 def test_no_path_through_the_sun_is_returned(start, end, duration, tol, beside):
     """Of equal distances the energies on both sides agree, and the action converges like h^(1/3)."""
     problem = cg.BoundaryProblem(
@@ -159,6 +161,7 @@ def test_no_pole_hides_between_points(degree, power):
 
 
 @pytest.mark.parametrize("beside", [1e-12, *slow(2e-12)])
+@pytest.mark.slow
 def test_rounding_hides_no_miss_beside_a_softened_pole(beside):
     """With an estimate of 8e-11, a path was off by 7e-4: positions of 1e-6 were taken to be rounded like those of 1."""
     problem = cg.BoundaryProblem(
@@ -172,6 +175,7 @@ def test_rounding_hides_no_miss_beside_a_softened_pole(beside):
 
 
 @pytest.mark.parametrize(("duration", "tol"), [(1.0, 1e-4), *slow((2.0, 1e-9))])
+@pytest.mark.slow
 def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
     """Nothing passes the pole of the attraction 1/x²; paths over it were returned, with estimates below these."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + 1 / ca.fabs(x[0]), (0, duration), [1.0], [-1.0])
@@ -300,6 +304,7 @@ EDGES = {  # Lagrangians that step in x, whose derivative is zero everywhere
 @pytest.mark.parametrize(
     "name", ["potential", "field", *slow(*(name for name in EDGES if name not in ("potential", "field")))]
 )
+@pytest.mark.slow
 def test_a_path_over_an_edge_is_refused(name, tol):
     """The impulse at the edge is in no equation: the energies on both sides, or the momenta along it, did not agree."""
     d = 2 if name == "field" else 1

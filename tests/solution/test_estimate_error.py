@@ -56,6 +56,7 @@ def test_the_estimate_of_forced_steps_is_sharp():
     assert 1 / SHARP < path.estimate_error() / difference(path, fine) < SHARP
 
 
+@pytest.mark.slow
 def test_a_kink_that_both_degrees_miss_shows_in_the_estimate():
     """Free fall through x = 0, where the force turns round, on joints that refinement moved: by the estimate of the
     higher degree alone an error of 4e-5 was 2.9e-15."""

@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import plane
+from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.solution.plotting import COLORS, plot_branches
@@ -197,6 +198,7 @@ def test_no_part_of_a_branch_is_left_out_for_want_of_a_color():
     assert [line.get_label() for line in axes.get_lines()] == [f"Morse index {i}" for i in range(9)]
 
 
+@pytest.mark.slow
 def test_stable_branches_are_full_lines_and_branch_points_circles():
     rod = cg.BoundaryProblem(
         lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 1), [0.0], [0.0], parameters=[5.0]
@@ -233,6 +235,7 @@ def rods(x):
     return np.stack((np.zeros_like(x), x))
 
 
+@pytest.mark.slow
 def test_animation_moves_the_mechanism_along_the_path(tmp_path):
     from PIL import Image
 
@@ -250,6 +253,7 @@ def test_animation_moves_the_mechanism_along_the_path(tmp_path):
     assert movie._fig.axes[0].get_title() == "t = 1.00"
 
 
+@pytest.mark.slow
 def test_animation_takes_the_duration_of_the_path_and_the_axes_given(tmp_path):
     import matplotlib.pyplot as plt
 
@@ -311,19 +315,18 @@ def test_a_sweep_is_drawn_in_one_picture():
     assert not cg.sweep(problem, [], cg.Galerkin(2), 2).plot().lines
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda problem: cg.sweep(problem, [{}], cg.Galerkin(2), 2),
-        lambda problem: cg.paths(problem, intervals=4, count=1),
-        lambda problem: cg.continuation(problem, [2.0], intervals=4),
-        lambda problem: cg.continuation(problem, [2.0], intervals=4, branches=1),
-        lambda problem: cg.compare(problem, intervals=4),
-    ],
-    ids=["sweep", "paths", "branch", "diagram", "comparison"],
-)
-def test_a_notebook_shows_text_and_picture(make):
+SHOWN = {
+    "sweep": lambda problem: cg.sweep(problem, [{}], cg.Galerkin(2), 2),
+    "branch": lambda problem: cg.continuation(problem, [2.0], intervals=4),
+    "paths": lambda problem: cg.paths(problem, intervals=4, count=1),
+    "diagram": lambda problem: cg.continuation(problem, [2.0], intervals=4, branches=1),
+    "comparison": lambda problem: cg.compare(problem, intervals=4),
+}
+
+
+@pytest.mark.parametrize("name", ["sweep", *slow("branch", "paths", "diagram", "comparison")])
+def test_a_notebook_shows_text_and_picture(name):
     problem = cg.BoundaryProblem(lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0], (0, 1), [0.0], [1.0], parameters=[1.0])
-    shown = make(problem)
+    shown = SHOWN[name](problem)
     assert shown._repr_html_().startswith(f"<pre>{repr(shown).splitlines()[0]}")
     assert "<svg" in shown._repr_html_()

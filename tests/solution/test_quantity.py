@@ -143,6 +143,7 @@ def test_the_errors_of_an_optimum_are_at_least_those_of_the_cost():
     assert true <= path.error_of(lambda path: path.cost) <= 2.5 * true
 
 
+@pytest.mark.slow
 def test_a_free_duration_is_known_to_its_tolerance():
     bounds = {"duration_bounds": (0.5, 4.0), "control_bounds": ([-2.0], [2.0])}
     fastest = pushed(running_cost=lambda t, x, v, u: 1.0 + 0 * t, force=lambda t, x, v, u: u, **bounds)
@@ -165,6 +166,7 @@ def test_many_solves_know_a_quantity_to_its_tolerance():
     assert all(path.asked_error <= 1e-5 for path in found)
 
 
+@pytest.mark.slow
 def test_many_optima_know_a_quantity_to_its_tolerance():
     transcription = cg.transcribe(pushed(), cg.Galerkin(3), tol=1e-6, of=lambda path: path.cost)
     assert "nothing solved yet" in repr(transcription)

@@ -29,6 +29,7 @@ JUMPING = {
 
 
 @pytest.mark.parametrize(("name", "tol"), [("cost", 1e-3), *slow(*((name, 1e-5) for name in JUMPING))])
+@pytest.mark.slow
 def test_a_jump_that_is_not_named_is_met_to_the_tolerance(name, tol):
     """Both degrees agreed to 1e-14 on costs that were wrong by 1e-3."""
     path, named = (cg.solve(double_integrator(**JUMPING[name], breakpoints=b), tol=tol) for b in ((), (WHEN,)))
@@ -76,6 +77,7 @@ def test_what_is_smooth_along_the_path_does_not_step(name):
     assert np.max(steps.sizes) < 1e-8 * abs(path.cost)
 
 
+@pytest.mark.slow
 def test_what_is_continuous_where_it_compares_does_not_step():
     """Springs of a wall at 0.7, and a force that begins at 0.3, with kinks."""
     path = cg.solve(
@@ -154,6 +156,7 @@ def test_a_step_at_a_given_time_with_a_free_duration_is_stated_by_two_phases():
     assert path.cost == pytest.approx(6 / 12**0.75 + 1.5 * 12**0.25 - 0.5, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_where_the_path_jumps_the_callables_do_not_step():
     """A bounce from a wall, before which a spring acts: the velocity jumps, and with it a component that counts."""
     bounce = double_integrator(

@@ -267,6 +267,7 @@ def test_one_interval_is_no_plural():
     assert "1 interval, " in repr(compared)
 
 
+@pytest.mark.slow
 def test_a_tolerance_chooses_degree_and_mesh_of_all_three_ways():
     comparison = cg.compare(cg.BoundaryProblem(pendulum, (0, 4), [0.0], [1.0]), tol=1e-6)
     assert comparison.global_path.error_estimate <= 1e-6

@@ -13,6 +13,7 @@ INTERVALS = (4, 8, 16, 32)
 REFERENCE = 1e-12  # own error of a solved reference, with room to its roundoff of some 1e-15
 
 
+@pytest.mark.slow
 def test_solved_and_exact_reference_give_the_same_errors(oscillator, measured):
     exact = cg.trade(oscillator, [cg.Galerkin(1), cg.Galerkin(2)], INTERVALS, reference=lambda t: [np.sin(t)])
     assert measured.reference_error < REFERENCE
@@ -103,6 +104,7 @@ def test_parameters_reach_the_reference():
     assert max(measured.rows[0].error, measured.rows[0].functional_error, measured.rows[0].energy_error) < REFERENCE
 
 
+@pytest.mark.slow
 def test_a_callable_tells_the_path_and_a_solve_its_cost_and_energy():
     """Whatever its mass, 2 / 7 in the optimum of 6 p² + (p - 2)², the path is the same."""
     problem = double_integrator(
@@ -160,6 +162,7 @@ def layer(t):
     return [np.exp(-1e4 * t)]
 
 
+@pytest.mark.slow
 def test_action_and_energy_of_a_layer_are_resolved_beside_a_callable():
     """On 500 equal intervals, the action of this layer was 6e-4 off, and so seemed that of every path."""
     problem = cg.BoundaryProblem(lambda t, x, v: 1e-8 * v[0] ** 2 / 2 + x[0] ** 2 / 2, (0.0, 1.0), [1.0], [0.0])

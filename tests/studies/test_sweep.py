@@ -191,6 +191,7 @@ def test_variations_on_another_branch_are_told():
 
 
 @pytest.mark.parametrize("step", [0.1, *slow(5.0)])
+@pytest.mark.slow
 def test_another_branch_is_told_where_the_action_changes_much_along_both(step):
     """The potential is counted from another zero, which changes all actions alike."""
     problem = cg.BoundaryProblem(
@@ -329,6 +330,7 @@ def test_paths_of_boundary_problems_have_no_cost(serial):
         _ = serial.cost
 
 
+@pytest.mark.slow
 def test_a_control_problem_is_swept(pool):
     problem = double_integrator(position_bounds=(-1, 9))  # ∫u²/2 = (6 (s - v)² + 6 (s - v) v + 2 v²)/T³, s the way in T
     sweep = cg.sweep(problem, PUSHES, METHOD, INTERVALS)
@@ -660,6 +662,7 @@ def test_the_friction_of_a_force_is_varied():
         assert x == pytest.approx(np.exp(-c / 2) * (np.cos(w) + sine * np.sin(w)), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_breakpoints_are_joints_whatever_the_time_span():
     def driven(t, x, v):
         return v[0] ** 2 / 2 + ca.if_else(t < 1.1, 1.0, -2.0) * x[0]

@@ -50,6 +50,7 @@ def whole(tmp_path_factory):
     return file, swept(file)
 
 
+@pytest.mark.slow
 def test_what_the_file_has_is_not_solved_again(whole, solves):
     file, first = whole
     assert same(swept(file), first)
@@ -115,6 +116,7 @@ def test_failures_are_kept_and_what_was_cut_short_is_not(tmp_path):
     assert again.get([2, 3]) is None
 
 
+@pytest.mark.slow
 def test_an_interrupted_sweep_goes_on_where_it_was(tmp_path, solves, monkeypatch):
     file, solve = tmp_path / "begun.sweep", cg.Transcription.solve
 

@@ -62,6 +62,7 @@ def exact_swing():
         return times, np.array([float(2 * mpmath.asin(k * mpmath.ellipfun("sn", t, k=k))) for t in times.tolist()])
 
 
+@pytest.mark.slow
 def test_every_way_has_its_row(every_way):
     _, _, measured = every_way
     ways = Counter(row.way for row in measured.rows)
@@ -87,6 +88,7 @@ def test_the_cheapest_row_solves_again_within_the_tolerance(every_way, exact_swi
     assert np.max(np.abs(path(times)[0] - exact)) <= tol * np.max(exact)
 
 
+@pytest.mark.slow
 def test_every_row_solves_again_with_the_error_it_had(every_way, exact_swing):
     problem, guess, measured = every_way
     times, exact = exact_swing
@@ -226,6 +228,7 @@ def test_guess_chooses_the_branch():
     assert other.rows[0].error > 0.1
 
 
+@pytest.mark.slow
 def test_initial_problems_are_traded_alike():
     """Between the joints the order is m + 1, at the joints 2m: 8 times and 16 times for twice the intervals."""
     problem = cg.InitialProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, 2.0), [0.0], velocity=[1.0])
@@ -236,6 +239,7 @@ def test_initial_problems_are_traded_alike():
     np.testing.assert_allclose(ratios, 16, rtol=0.03, atol=0)
 
 
+@pytest.mark.slow
 def test_control_problems_are_traded_alike():
     measured = cg.trade(pendulum_in_three(), [cg.Galerkin(2), cg.Galerkin(4)], (4, 8, 16))
     assert measured.reference_error < 1e-10  # IPOPT's tolerance, not roundoff
@@ -269,6 +273,7 @@ def test_phases_found_to_a_tolerance_are_solved_again_on_their_mesh():
 
 
 @pytest.mark.parametrize("power", [2, 10])
+@pytest.mark.slow
 def test_the_error_of_a_free_duration_is_an_error_of_the_path(power):
     """Least ∫ (u²/2 + 0.3 t^k) dt: at the same parts of the duration every row has the same path, a straight line."""
     problem = first_order(
