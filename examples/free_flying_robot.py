@@ -2,7 +2,7 @@
 
 Its mass is one, and so is its inertia; the thrusters push along its axis, or turn it by pushing against each other.
 Each pair has two thrusters that point in opposite ways, so that what they burn is the sum of four controls that are not
-negative.  They switch, and the robot drifts in between.  The problem is Y. Sakawa's (1999); 7.91055 of fuel are published.
+negative.  They switch, and the robot drifts in between.  It is Sakawa's problem (1999); 7.91055 of fuel are published.
 """
 
 import casadi as ca
