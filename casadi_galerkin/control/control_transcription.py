@@ -38,7 +38,9 @@ from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.bounds import FEASIBLE, Limit
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.control_rules import determined
 from casadi_galerkin.problems.phases import Phases
+from casadi_galerkin.problems.statements import check
 from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
@@ -105,6 +107,8 @@ class ControlTranscription:
         self.problem, self.method, self.mesh = problem, method, mesh
         self.calculus, self.breaks = DiscreteCalculus(method, mesh), np.searchsorted(mesh, problem.breakpoints)
         _check_steps(mesh)
+        if isinstance(problem, ControlProblem):
+            check(problem, (determined,))
         self.phases = phases_of(problem)
         for phase in self.phases:
             check_points(phase.constraint, method)

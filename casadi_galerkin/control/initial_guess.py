@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from functools import partial
+from itertools import pairwise, takewhile
 from typing import Any
 
 import numpy as np
@@ -82,8 +83,8 @@ def guesses_of_phases(
 ) -> list[Any]:
     """A guess of every phase.
 
-    Several problems take a list with a guess for each, or one for all of them.  Without any, the path is a straight
-    line between all positions that are given at the ends of phases.  A guess of one problem is cut where it is parted.
+    Several problems take a list with a guess for each, or one for all of them.  Without any, see `_lines`.  A guess of
+    one problem is cut where it is parted.
 
     Parameters
     ----------
@@ -100,6 +101,8 @@ def guesses_of_phases(
     if isinstance(problem, Phases):
         if earlier or (isinstance(guess, list) and len(guess) != count):
             raise ValueError(f"the guess must be a list of {count}, one for every phase, got {guess!r}")
+        if guess is None:
+            return _lines(problem)
         return guess if isinstance(guess, list) else [guess] * count
     mesh = np.append(np.concatenate([one.mesh[:-1] for one in calculi]), calculi[-1].mesh[-1])
     whole = DiscreteCalculus(calculi[0].method, mesh)
@@ -120,6 +123,32 @@ def guesses_of_phases(
             return list(zip(paths, np.split(controls, cuts, axis=1), strict=True))
         _refuse_shape(problem, controls.shape, shape)
     return [(one, controls) for one in paths]
+
+
+def _alike(one: ControlProblem, other: ControlProblem) -> bool:
+    return one.dimension == other.dimension
+
+
+def _lines(problem: Phases) -> list[Any]:
+    """Straight lines, from where the phase before leads, towards the next positions that are given.
+
+    These are looked for in phases with as many components; without any, the path stays where it is.
+    """
+    lines, phases = list[Any](), problem.phases
+    reached: np.ndarray | None = None
+    for k, phase in enumerate(phases):
+        first, low_or_middle = phase.given_positions[0], _zero_or_middle(*phase.position_bounds)
+        known = problem.joins.after_link(k, reached) if reached is not None else None
+        first = np.where(np.isnan(first), low_or_middle if known is None else known, first)
+        target, when = np.full(phase.dimension, np.nan), np.full(phase.dimension, np.inf)
+        for later in takewhile(partial(_alike, phase), phases[k:]):
+            for place, t in zip(later.given_positions, later.t_span, strict=True):
+                new = np.isnan(target) & np.isfinite(place) & (t > phase.t_span[0])
+                target[new], when[new] = place[new], t
+        begin, end = phase.t_span
+        reached = first + np.nan_to_num((target - first) * (end - begin) / (when - begin))
+        lines.append((((begin, end), np.stack((first, reached), axis=1)), None))
+    return lines
 
 
 def _of_answer(

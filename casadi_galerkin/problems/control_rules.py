@@ -67,8 +67,11 @@ def _unused(problem: Any) -> Iterator[str]:
             yield f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint"
 
 
-def _determined(problem: Any) -> Iterator[str]:
-    """Without controls, conditions are too many, or too few for a path where there is no cost to choose one by."""
+def determined(problem: Any) -> Iterator[str]:
+    """Without controls, conditions are too many, or too few for a path where there is no cost to choose one by.
+
+    This is no rule for one of several phases, which has more by its links.
+    """
     if problem.controls or problem.constraint is not None:
         return
     bounded = {"parameter": problem.parameter_bounds, "duration": problem.duration_bounds}
@@ -178,7 +181,6 @@ def _guesses(problem: Any) -> Iterator[str]:
 
 
 RULES = (
-    _determined,
     _beside_a_constraint,
     _velocities_of_rates,
     _unused,

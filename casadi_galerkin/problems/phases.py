@@ -78,6 +78,17 @@ class Joins:
     conditions: Limited = (NOTHING, (), ())
     cost: ca.Function | None = None
 
+    def after_link(self, k: int, position: np.ndarray) -> np.ndarray | None:
+        """Where phase k begins by its link from a position at rest before it, or None where no law says so."""
+        g, which = self.conditions[0], [after == k - 1 for after in self.after]
+        chosen = [i for i, ours in enumerate(which) if ours and self.of_positions[i]]
+        if not chosen:
+            return None
+        given = [np.zeros(g.size1_in(i)) for i in range(g.n_in())]
+        given[7 * (k - 1) + 4] = position
+        first = sum(self.counts[: chosen[0]])
+        return -np.array(g(*given)).ravel()[first : first + self.counts[chosen[0]]]
+
 
 def _sizes(phases: Sequence[ControlProblem]) -> dict[str, int]:
     """Lengths of the ends of all phases, by name."""

@@ -195,3 +195,51 @@ def test_a_failure_names_the_phase():
             cg.Galerkin(3),
             4,
         )
+
+
+def treated():
+    """Growth of a tumor and of its vessels, which a drug hinders until it is used up: Betts (2010), section 6.17."""
+
+    def rates(t, x, v, u):
+        size = (5.83 / 0.00873) * x[0] ** (2 / 3)
+        return [-0.084 * x[0] * ca.log(x[0] / x[1]), x[1] * (5.83 - 0.00873 * size - 0.15 * 75 * u), 5 * u]
+
+    dosed = cg.ControlProblem(
+        rates=lambda t, x, v, u: rates(t, x, v, u[0]),
+        t_span=(0.0, 0.2),
+        start=[0.5, 0.25, 0.0],
+        end=[None, None, 1.0],
+        controls=1,
+        control_bounds=(0, 1),
+        duration_bounds=(0.1, 1.1),
+    )
+    without = cg.ControlProblem(
+        rates=lambda t, x, v: rates(t, x, v, 0.0)[:2],
+        t_span=(0.2, 1.2),
+        components=2,
+        duration_bounds=(0.1, 1.2),
+        terminal_cost=lambda t, x, v: x[0],
+    )
+    return cg.Phases([dosed, without], links=[lambda x, v: (x[:2], v[:2])])
+
+
+def test_a_tumor_shrinks_as_published_in_two_phases_of_which_one_has_no_control():
+    """Without a guess, the second phase begins where the law of the first leads, as its rates have no value at zero."""
+    phases = treated()
+    path = cg.solve(phases, cg.Galerkin(4), mesh=phases.mesh([32, 8]))
+    assert path.cost * (5.83 / 0.00873) ** 1.5 == pytest.approx(7571.67158, rel=3e-7)
+    assert np.isnan(path.control(1.0)).all()
+
+
+def test_without_a_guess_lines_lead_to_the_next_positions_that_are_given():
+    program = cg.transcribe(
+        cg.Phases(
+            [moving(0, 1, 1.0), moving(1, 2), moving(2, 4, end=5.0), moving(4, 5, 2.0)],
+            links=[None, None, (lambda x, v, y, w: v - w, 0, 0)],
+        ),
+        cg.Galerkin(2),
+        5,
+    )
+    values = program.starting_point(program.problem, program.calculus, None).values
+    ends = [of_phase["x"][[0, -1], 0].tolist() for of_phase in values]
+    np.testing.assert_allclose(ends, [[1, 2], [2, 3], [3, 5], [2, 2]], rtol=0, atol=1e-15)

@@ -391,7 +391,7 @@ def test_conditions_without_controls_are_counted(name):
     changes, message = CONDITIONS[name]
     stated = {"rates": lambda t, x, v: [x[1], -ca.exp(x[0])], "t_span": (0, 1), **changes}
     with pytest.raises(ValueError, match=message):
-        cg.ControlProblem(**stated)
+        cg.transcribe(cg.ControlProblem(**stated), cg.Galerkin(2), 2)
 
 
 def test_without_controls_a_cost_may_choose_what_conditions_leave_free():
