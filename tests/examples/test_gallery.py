@@ -29,6 +29,7 @@ def test_pictures_are_those_of_scenes_of_the_peers_and_of_the_first_page_and_sma
     assert {file.name for file in PICTURES.iterdir() if file.stat().st_size > BYTES} == set()
 
 
+@pytest.mark.slow
 def test_the_gallery_draws_a_scene_in_few_colors(gallery, tmp_path):
     from PIL import Image
 

@@ -41,6 +41,7 @@ def test_a_velocity_that_passes_through_zero_in_one_component_is_found():
     np.testing.assert_allclose(path.velocity, path.momentum, rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_rest_is_found_from_any_slow_guess():
     """Nothing is small beside a velocity of zero: what is left of a guess is measured by the guess."""
     problem = cg.InitialProblem(

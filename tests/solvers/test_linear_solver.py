@@ -49,6 +49,7 @@ def test_a_step_with_regularized_conditions_is_that_of_qr(case, intervals):
     np.testing.assert_allclose(ldl, qr, rtol=0, atol=SAME * np.max(np.abs(qr)))
 
 
+@pytest.mark.slow
 def test_a_long_chain_of_rods_needs_no_qr():
     problem, guess = chain(20)
     transcription = cg.transcribe(problem, cg.Galerkin(4), 6)

@@ -91,6 +91,7 @@ def test_variations_that_the_mesh_does_not_resolve_are_not_counted(lagrangian, d
     assert cg.solve(problem, cg.Galerkin(4), 4).morse_index is None
 
 
+@pytest.mark.slow
 def test_the_index_of_a_path_that_says_nothing_of_its_variations_is_not_guessed():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 1e12 * x[0] ** 2 / 2, (0, 1), [0.0], [0.0])
     assert cg.solve(problem, cg.Galerkin(8), 10).morse_index is None
