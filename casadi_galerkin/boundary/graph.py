@@ -222,9 +222,9 @@ class BoundaryGraph:
             path, ends = self.emb(unknowns, data), zip((0, -1), self._end_velocities, strict=True)
             velocities = np.concatenate([path(path.mesh[k], 1)[end.unknown] for k, end in ends])
             unknowns[numbering.everywhere.start - count : numbering.everywhere.start] = velocities
-        before, last = numbering.everywhere.start - count, numbering.positions + numbering.multipliers
-        multipliers = np.r_[numbering.positions : before, before + count : last]
-        if len(multipliers):
+        if numbering.multipliers > count:
+            before, last = numbering.everywhere.start - count, numbering.positions + numbering.multipliers
+            multipliers = np.r_[numbering.positions : before, before + count : last]
             with self.stationarity.linearization() as at:
                 found = at.least_squares(unknowns, data, multipliers, component_sizes(values.T))
             if np.all(np.isfinite(found)):

@@ -138,7 +138,9 @@ def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     matrix, gradient, _ = transcription.functional.function("derivatives").call(list(symbols.values()))
     by_values = -ca.DM.eye(numbering.free)[:, numbering.everywhere][:, : numbering.integrals]
     by_data = ca.densify(ca.horzcat(ca.jacobian(gradient, data), by_values))
-    solutions = transcription.stationarity.linear_solver.solutions("qr", by_data.size2(), transposed=False)
+    solutions = transcription.stationarity.linear_solver.solving(
+        "solutions", "qr", columns=by_data.size2(), transposed=False
+    )
     change = solutions(matrix, by_data)[0]
     change += solutions(matrix, ca.mac(matrix, change, by_data))[0]  # iterative refinement, for rows of different units
     unknowns, given = transcription.on_path(path.polynomial)

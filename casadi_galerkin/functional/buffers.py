@@ -17,7 +17,7 @@ import ctypes
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, TextIO, TypeVar
@@ -39,20 +39,6 @@ def _functions() -> tuple[Callable[[], int], Callable[[int], object]]:
 
 
 thread_count, use_threads = _functions()
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let OpenBLAS use one thread; a nested block changes nothing."""
-    several = thread_count()
-    if several == 1:
-        yield  # another thread may be solving, and will restore the number
-        return
-    try:
-        use_threads(1)
-        yield
-    finally:
-        use_threads(several)
 
 
 fork_waits = threading.RLock()  # held by every solve, wherever a graph is built, and wherever buffers are evaluated
@@ -126,69 +112,58 @@ class WithoutCasadi:
         return getattr(self._stream, name)
 
 
+@contextmanager
+def evaluating() -> Iterator[None]:
+    """Let this thread alone evaluate, on one core and without CasADi's warnings; a block within changes nothing."""
+    with fork_waits:  # one thread at a time, so that each restores what it found
+        several, stderr = thread_count(), sys.stderr
+        try:
+            use_threads(1)
+            sys.stderr = stderr if isinstance(stderr, WithoutCasadi) else WithoutCasadi(stderr)
+            yield
+        finally:
+            sys.stderr = stderr
+            use_threads(several)
+
+
 class Evaluator:
     """Calls a Function on NumPy arrays: nonzeros in, nonzeros out.
 
-    Parameters
-    ----------
-    function : Function
-    bound : arrays by name that inputs and outputs are read from and written to; these are neither passed nor returned
-
     Attributes
     ----------
-    inputs, outputs : arrays of the other inputs and outputs, by name
     failure : why the last evaluation failed, as where a rootfinder within L has found nothing; its results are then NaN
     """
 
-    def __init__(self, function: ca.Function, bound: Mapping[str, np.ndarray] | None = None) -> None:
+    def __init__(self, function: ca.Function) -> None:
         self._function = function  # the buffer does not hold a reference to it
         self._buffer, self._run = function.buffer()
         self.failure: RuntimeError | None = None
-        given = bound or {}
-        arguments = {
-            name: given[name] if name in given else np.zeros(function.nnz_in(i))
-            for i, name in enumerate(function.name_in())
-        }
-        results = {
-            name: given[name] if name in given else np.zeros(function.nnz_out(i))
-            for i, name in enumerate(function.name_out())
-        }
-        self._results = list(results.values())
-        self.inputs, self.outputs = (
-            {name: array for name, array in arrays.items() if name not in given} for arrays in (arguments, results)
-        )
-        for i, array in enumerate(arguments.values()):
+        self._inputs = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
+        self._outputs = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        for i, array in enumerate(self._inputs):
             self._buffer.set_arg(i, array.data)
-        for i, array in enumerate(self._results):
+        for i, array in enumerate(self._outputs):
             self._buffer.set_res(i, array.data)
-
-    def run(self) -> None:
-        """Evaluate on all arrays, without a check whether the evaluation was aborted."""
-        self.failure = None
-        with fork_waits:  # one thread at a time, so that each restores the stream that it found
-            stderr = sys.stderr
-            try:
-                sys.stderr = WithoutCasadi(stderr)
-                self._run()
-            except RuntimeError as error:
-                if "KeyboardInterrupt" in str(error):
-                    raise
-                self.failure = error
-                for array in self._results:
-                    array[:] = np.nan
-            finally:
-                sys.stderr = stderr
 
     def __call__(self, *arguments: ArrayLike) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""
-        for target, argument in zip(self.inputs.values(), arguments, strict=True):
+        with evaluating(), interrupts_raised():
+            return self.evaluated(*arguments)
+
+    def evaluated(self, *arguments: ArrayLike) -> list[np.ndarray]:
+        """The same within a block of `evaluating`."""
+        for target, argument in zip(self._inputs, arguments, strict=True):
             target[:] = argument
-        with one_thread(), interrupts_raised():
-            self.run()
-        if self._buffer.ret():  # aborted, as by CasADi's QR at a small pivot: the outputs are those of an earlier call
-            for array in self.outputs.values():
-                array[:] = np.nan
-        return [array.copy() for array in self.outputs.values()]
+        self.failure = None
+        try:
+            self._run()
+        except RuntimeError as error:
+            if "KeyboardInterrupt" in str(error):
+                raise
+            self.failure = error
+        if self.failure or self._buffer.ret():  # aborted, as by CasADi's QR: the outputs are those of an earlier call
+            return [np.full_like(array, np.nan) for array in self._outputs]
+        return [array.copy() for array in self._outputs]
 
     @property
     def stats(self) -> dict[str, Any]:

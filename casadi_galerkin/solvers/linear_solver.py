@@ -7,6 +7,7 @@ Nothing in them is written by a solve.
 from __future__ import annotations
 
 from functools import lru_cache, partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
-from casadi_galerkin.functional.functional import Functional
+from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
@@ -37,7 +38,7 @@ class LinearSolver:
     def __init__(self, numbering: Numbering, sparsity: ca.Sparsity) -> None:
         self.numbering, self.sparsity = numbering, sparsity
         self._generic_rhs = ca.DM(np.cos(1.0 + np.arange(numbering.free)))  # has no symmetry
-        self._kept: dict[tuple[str, ...], ca.Function] = {}
+        self._kept: dict[Any, ca.Function] = {}
 
     def symbols(self, *names: str) -> dict[str, ca.MX]:
         """Symbols by name: the matrix ∇²S, u, a damping, or a vector of one number per unknown."""
@@ -105,67 +106,57 @@ class LinearSolver:
         """‖∇²S y + b‖₁ - DEFECT_TOLERANCE ‖b‖₁: the linear system is solved where this is at most zero."""
         return ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - DEFECT_TOLERANCE * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
 
-    def solutions(self, method: str, columns: int, transposed: bool) -> ca.Function:
-        """(matrix, rhs) -> (y, defect): solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, for several b at once."""
-        key = ("solutions", method, str(columns), str(transposed))
+    def solving(self, name: str, method: str, **options: Any) -> ca.Function:
+        """One of the following Functions by a method, built when it is first used."""
+        key = name, method, *options.values()
         if key not in self._kept:
-            inputs = self.symbols("matrix") | {"rhs": ca.MX.sym("rhs", self.numbering.free, columns)}
-            matrix, rhs = inputs.values()
-            matrix = matrix.T if transposed else matrix
-            y = self._solution(method, matrix, rhs)
-            self._kept[key] = self._function(
-                "solutions", inputs, {"solutions": y, "solutions_defect": self._defect(matrix, y, rhs)}
-            )
+            inputs, outputs = getattr(self, f"_{name}")(method, **options)
+            self._kept[key] = self._function(name, inputs, outputs)
         return self._kept[key]
 
-    def newton_step(self, method: str) -> ca.Function:
-        """(matrix, gradient, u) -> (step, smallest_curvature_direction, sizes, norm, path_length, step_length, defect).
+    def _solutions(self, method: str, columns: int, transposed: bool) -> Parts:
+        """(matrix, rhs) -> (y, (defect,)): solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, for several b at once."""
+        inputs = self.symbols("matrix") | {"rhs": ca.MX.sym("rhs", self.numbering.free, columns)}
+        matrix, rhs = inputs.values()
+        matrix = matrix.T if transposed else matrix
+        y = self._solution(method, matrix, rhs)
+        return inputs, {"solutions": y, "measures": self._defect(matrix, y, rhs)}
+
+    def _newton_step(self, method: str) -> Parts:
+        """(matrix, gradient, u) -> (step, direction, sizes, (norm, path_length, step_length, defect)).
 
         The Newton step; the solution for a generic right-hand side, which is near the direction of smallest curvature;
         the sizes that the unknowns are measured by; the largest entry of the step relative to these; and the lengths of
         path and step, max_d √K_d |x_d|, where a step that changes a free duration by a factor e is as long as the path.
         """
-        key = ("newton_step", method)
-        if key not in self._kept:
-            inputs = self.symbols("matrix", "gradient", "u")
-            matrix, gradient, u = inputs.values()
-            scale = self.largest(u)
-            scaled_rhs = self._generic_rhs / self._measure(scale)
-            step, smallest_curvature = ca.horzsplit(self._solution(method, matrix, ca.horzcat(gradient, scaled_rhs)))
-            whole = ca.vertcat(step, ca.MX.zeros(self.numbering.size - self.numbering.free))
-            moved, stiffness = self.largest(whole), self._stiffness(matrix)
-            reached = ca.fmax(scale, moved)
-            sizes = self._measure(ca.fmax(reached, HALF_DIGITS * _mattering(stiffness, reached)))
-            length, step_length = (ca.norm_inf(stiffness * a) for a in (scale, moved))
-            if self.numbering.free_duration:
-                step_length = ca.fmax(step_length, length * ca.fabs(step[-1]))
-            outputs = {
-                "step": step,
-                "smallest_curvature_direction": smallest_curvature,
-                "sizes": sizes,
-                "norm": ca.norm_inf(step / sizes),
-            }
-            outputs |= {"path_length": length, "step_length": step_length}
-            outputs["defect"] = self._defect(matrix, step, gradient)
-            self._kept[key] = self._function("newton_step", inputs, outputs)
-        return self._kept[key]
+        inputs = self.symbols("matrix", "gradient", "u")
+        matrix, gradient, u = inputs.values()
+        scale = self.largest(u)
+        scaled_rhs = self._generic_rhs / self._measure(scale)
+        step, direction = ca.horzsplit(self._solution(method, matrix, ca.horzcat(gradient, scaled_rhs)))
+        whole = ca.vertcat(step, ca.MX.zeros(self.numbering.size - self.numbering.free))
+        moved, stiffness = self.largest(whole), self._stiffness(matrix)
+        reached = ca.fmax(scale, moved)
+        sizes = self._measure(ca.fmax(reached, HALF_DIGITS * _mattering(stiffness, reached)))
+        length, step_length = (ca.norm_inf(stiffness * a) for a in (scale, moved))
+        if self.numbering.free_duration:
+            step_length = ca.fmax(step_length, length * ca.fabs(step[-1]))
+        defect = self._defect(matrix, step, gradient)
+        measures = ca.vertcat(ca.norm_inf(step / sizes), length, step_length, defect)
+        return inputs, {"step": step, "direction": direction, "sizes": sizes, "measures": measures}
 
-    def simplified_step(self, method: str) -> ca.Function:
-        """(matrix, gradient, step, sizes, damping) -> (simplified, length, nonlinearity, defect).
+    def _simplified_step(self, method: str) -> Parts:
+        """(matrix, gradient, step, sizes, damping) -> (simplified, (length, nonlinearity, defect)).
 
         The step from a trial point with the Hessian of the last iterate; its largest entry relative to `sizes`; and its
         distance from (1 - damping) times the Newton step, to which it would be equal on a linear problem.
         """
-        key = ("simplified_step", method)
-        if key not in self._kept:
-            inputs = self.symbols("matrix", "gradient", "step", "sizes", "damping")
-            matrix, gradient, step, sizes, damping = inputs.values()
-            y = self._solution(method, matrix, gradient)
-            nonlinearity = ca.norm_inf((y - (1 - damping) * step) / sizes)
-            outputs = {"simplified": y, "length": ca.norm_inf(y / sizes), "nonlinearity": nonlinearity}
-            outputs["defect"] = self._defect(matrix, y, gradient)
-            self._kept[key] = self._function("simplified_step", inputs, outputs)
-        return self._kept[key]
+        inputs = self.symbols("matrix", "gradient", "step", "sizes", "damping")
+        matrix, gradient, step, sizes, damping = inputs.values()
+        y = self._solution(method, matrix, gradient)
+        nonlinearity = ca.norm_inf((y - (1 - damping) * step) / sizes)
+        measures = ca.vertcat(ca.norm_inf(y / sizes), nonlinearity, self._defect(matrix, y, gradient))
+        return inputs, {"simplified": y, "measures": measures}
 
     @cached_property
     def largest(self) -> ca.Function:
@@ -244,13 +235,13 @@ class LinearSolver:
 
     @cached_property
     def verification(self) -> ca.Function:
-        """(gradient, matrix, u, terms, smallest_curvature_direction) -> (residual, regularity, importance).
+        """(gradient, matrix, u, terms, direction) -> (residual, regularity, importance).
 
-        The largest entry of ∇S over its roundoff floor, and yᵀ∇²S y for y = `smallest_curvature_direction` over a
+        The largest entry of ∇S over its roundoff floor, and yᵀ∇²S y for y = `direction` over a
         bound of |y|ᵀ|∇²S||y|.  A regularity of zero or NaN tells nothing: where a component has a single unknown, its
         one term in the Hessian has nothing to be compared with.
         """
-        inputs = self.symbols("gradient", "matrix", "u", "terms", "smallest_curvature_direction")
+        inputs = self.symbols("gradient", "matrix", "u", "terms", "direction")
         gradient, matrix, u, terms, y = inputs.values()
         floor, scale, product, importance = self.floor(matrix, u, terms)
         ratios = gradient / floor

@@ -108,7 +108,7 @@ def _iterate(
 ) -> Solution:
     """Newton's method with the steps of a search."""
     at, damping, forecast = linear.newton_step(guess, data), 1.0, 1.0
-    if not (math.isfinite(at.norm) or np.isfinite(linear.gradient).all()):
+    if not (math.isfinite(at.norm) or np.isfinite(linear.relinearize(guess, data)).all()):
         raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
     last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
     for iteration in range(1, max_iter + 1):

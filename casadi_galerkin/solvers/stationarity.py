@@ -1,13 +1,13 @@
 """The stationarity conditions ∇S(ξ) = 0 of one discrete functional, and the three Functions that Newton's method needs.
 
-    newton_step      ξ, data                           ->  ∇S, ∇²S; step, smallest_curvature_direction, sizes, norm
+    newton_step      ξ, data                           ->  ∇S, ∇²S; step, direction, sizes, norm
     simplified_step  ξ, data, ∇²S, step, sizes, damping               ->  simplified, length, nonlinearity
-    verification     ξ, data, ∇²S, smallest_curvature_direction       ->  S, momenta, residual, regularity
+    verification     ξ, data, ∇²S, direction       ->  S, momenta, residual, regularity
 
 In each, a Function of the functional's graph evaluates, and a Function of the `LinearSolver` solves or measures.
 A `LinearSolver` serves all Lagrangians whose ∇²S has the same sparsity.  A `Stationarity` holds the functional and the
-linear solver; it is immutable and may be shared.  The arrays that a solve writes to belong to a `Linearization`, which
-only one solve uses at a time.  The outputs of one Function and the inputs of another with the same name are one array.
+linear solver; it is immutable and may be shared.  The arrays that CasADi writes to belong to a `Linearization`, which
+only one solve uses at a time.
 """
 
 from __future__ import annotations
@@ -15,13 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, fork_waits, one_thread
+from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, evaluating
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
@@ -43,7 +45,7 @@ class Iterate(NamedTuple):
     norm : largest entry of the step relative to the sizes; NaN where the step is not finite
     length, step_length : lengths of path and step, see `LinearSolver.newton_step`
     matrix : nonzeros of ∇²S at the point
-    smallest_curvature_direction : solution of the linear equations with ∇²S for a generic right-hand side
+    direction : solution of the linear equations with ∇²S for a generic right-hand side
     """
 
     unknowns: np.ndarray
@@ -53,7 +55,7 @@ class Iterate(NamedTuple):
     length: float
     step_length: float
     matrix: np.ndarray
-    smallest_curvature_direction: np.ndarray
+    direction: np.ndarray
 
 
 class Stationarity:
@@ -87,7 +89,7 @@ class Stationarity:
         ----------
         linear_solver : name of a CasADi linear solver; default `linear_methods`
         """
-        with fork_waits, self._workspaces.lend() as lent, one_thread():
+        with evaluating(), self._workspaces.lend() as lent:
             lent.methods = (linear_solver,) if linear_solver else self.linear_methods
             yield lent
 
@@ -101,6 +103,46 @@ class Stationarity:
             return {}, {"gradient": first["gradient"], "floor": floor}
 
         return self.functional.keep("floor", parts)
+
+    def newton_step(self, method: str) -> ca.Function:
+        """(ξ, data) -> outputs of `LinearSolver`'s Newton step, with ∇²S before the measures."""
+
+        def parts() -> Parts:
+            derivatives, linear = (
+                self.functional.function("derivatives"),
+                self.linear_solver.solving("newton_step", method),
+            )
+            matrix, gradient, _ = derivatives.call(self.functional.inputs)
+            *outputs, measures = zip(linear.name_out(), linear.call([matrix, gradient, self.functional.u]), strict=True)
+            return {}, dict([*outputs, ("matrix", matrix), measures])
+
+        return self.functional.keep(f"newton_step_{method}", parts)
+
+    def simplified_step(self, method: str) -> ca.Function:
+        """(ξ, data, ∇²S, step, sizes, damping) -> outputs of `LinearSolver.simplified_step`."""
+
+        def parts() -> Parts:
+            further, linear = self.linear_solver.symbols("matrix", "step", "sizes", "damping"), self.linear_solver
+            matrix, *others = further.values()
+            (gradient,) = self.functional.function("gradient").call(self.functional.inputs)
+            linear = self.linear_solver.solving("simplified_step", method)
+            return further, dict(zip(linear.name_out(), linear.call([matrix, gradient, *others]), strict=True))
+
+        return self.functional.keep(f"simplified_step_{method}", parts)
+
+    @property
+    def verification(self) -> ca.Function:
+        """(ξ, data, ∇²S, direction) -> action, momentum, and outputs of `LinearSolver.verification`."""
+
+        def parts() -> Parts:
+            further, summary = self.linear_solver.symbols("matrix", "direction"), self.functional.function("summary")
+            action, momentum, gradient, terms = summary.call(self.functional.inputs)
+            matrix, direction = further.values()
+            found = self.linear_solver.verification.call([gradient, matrix, self.functional.u, terms, direction])
+            measures = dict(zip(self.linear_solver.verification.name_out(), found, strict=True))
+            return further, {"action": action, "momentum": momentum} | measures
+
+        return self.functional.keep("verification", parts)
 
     def gradient_and_floor(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
         """∇S and the roundoff floor of every entry of it, (n,) each."""
@@ -123,117 +165,70 @@ class Stationarity:
 
 
 class Linearization:
-    """The arrays of one solve, which its methods overwrite.
-
-    ∇S (`gradient`) is that of the last point at which a method evaluated it: `newton_step`, `relinearize`,
-    `simplified_step`, `terms`, `rounding_effects` and `verification` do.  ∇²S (`matrix`) is that of the last
-    `newton_step` or `relinearize`, or the one restored by `return_to`; the other methods keep it.  The direction of
-    smallest curvature is that of the last `newton_step` or `return_to`.  `solve`, `refined` and `rounding_effects`
-    solve with the present ∇²S, and `simplified_step` with the present ∇²S and a new ∇S.  `evaluate` has arrays of its
-    own.
+    """The linearized conditions of one solve: ∇S and ∇²S where they were last evaluated, and what solves with them.
 
     Attributes
     ----------
     methods : names of the linear solvers to try, in order
+    matrix : nonzeros of ∇²S where it was last evaluated, by `newton_step` or `relinearize`
+    direction : of smallest curvature, of the last `newton_step` or `return_to`
     """
 
     def __init__(self, stationarity: Stationarity) -> None:
-        self.stationarity = stationarity
-        self.methods: tuple[str, ...] = METHODS
-        numbering = stationarity.functional.numbering
-        u = np.zeros(numbering.size)
-        self._arrays = dict(zip(("u", "unknowns", "start", "end"), (u, *numbering.parted(u)), strict=True))
-        self._evaluators: dict[tuple[str, ...], Evaluator] = {}
-        self._inputs = list(stationarity.functional.symbols)[1:]
-        self._kept: dict[str, Any] = {}
-        self._data: Data | None = None
+        self.stationarity, self.methods = stationarity, tuple[str, ...](METHODS)
+        self.matrix = self.direction = self._masses = np.empty(0)
+        self._kept: dict[Any, Any] = {}
 
-    def keep(self, key: str, build: Callable[[], Built]) -> Built:
-        """A CasADi solver, built when it is first used; kept here because two solves must not share one."""
+    def keep(self, key: object, build: Callable[[], Built]) -> Built:
+        """What CasADi writes to, built when it is first used; kept here because two solves must not share it."""
         if key not in self._kept:
             self._kept[key] = build()
         return self._kept[key]
 
-    @property
-    def gradient(self) -> np.ndarray:
-        """∇S at the point where it was last evaluated; (n,)."""
-        return self._arrays["gradient"]
+    def evaluate(self, name: str, unknowns: np.ndarray, data: Data, *further: ArrayLike) -> list[np.ndarray]:
+        """Evaluate one of the functional's own Functions."""
+        evaluator = self.keep(name, partial(_evaluator, self.stationarity.functional.function, name))
+        return evaluator.evaluated(unknowns, *data, *further)
 
-    @property
-    def matrix(self) -> np.ndarray:
-        """Nonzeros of the present ∇²S, see the class."""
-        return self._arrays["matrix"]
+    def _solved(
+        self, key: object, build: Callable[[str], ca.Function], *inputs: ArrayLike
+    ) -> tuple[list[np.ndarray], list[float]]:
+        """Outputs by the first method that solves the linear equations, and measures, NaN where none does."""
+        outputs, measures = list[np.ndarray](), np.empty(0)
+        for method in self.methods:
+            evaluator = self._kept.get((key, method)) or self.keep((key, method), partial(_evaluator, build, method))
+            *outputs, measures = evaluator.evaluated(*inputs)
+            if measures[-1] <= 0:
+                break
+        else:
+            if not (math.isfinite(measures[-1]) and np.any(outputs[0])):  # of a singular matrix QR makes zeros
+                measures[:] = np.nan
+        return outputs, measures.tolist()
 
     @property
     def mass(self) -> np.ndarray:
-        """∂²L̂/∂x'² at all points where ∇²S was last evaluated; (N r, d, d)."""
+        """∂²L̂/∂x'² at all points of the last `relinearize`; (N r, d, d)."""
         pointwise = self.stationarity.functional.pointwise
-        return pointwise.matrices(self._arrays["mass"].reshape(-1, pointwise.pattern.nnz()))
+        return pointwise.matrices(self._masses.reshape(-1, pointwise.pattern.nnz()))
 
-    def _bind(self, key: tuple[str, ...], function: ca.Function) -> Evaluator:
-        """Bind the inputs and outputs of a Function to the arrays with their names."""
-        self._evaluators[key] = evaluator = Evaluator(function, self._arrays)
-        self._arrays |= evaluator.inputs | evaluator.outputs
-        return evaluator
-
-    def _evaluate(self, name: str, unknowns: np.ndarray, data: Data) -> None:
-        """Evaluate one of the functional's own Functions on the arrays with the names of its inputs and outputs."""
-        evaluator = self._evaluators.get((name,)) or self._bind((name,), self.stationarity.functional.function(name))
-        if data is not self._data:  # the same tuple in all iterations
-            self._data = None  # until all arrays are written, because an interrupt may come between two
-            for key, values in zip(self._inputs, data, strict=True):
-                self._arrays[key][:] = values
-            self._data = data
-        self._arrays["unknowns"][:] = unknowns
-        evaluator.run()
-
-    def _solve(self, build: Callable[[str], ca.Function], step: str, *measures: str) -> None:
-        """Solve by the first method that succeeds; the measures are NaN where none does."""
-        arrays = self._arrays
-        for method in self.methods:
-            key = build.__name__, method
-            evaluator = self._evaluators.get(key) or self._bind(key, build(method))
-            for name in (*measures, "defect") if method != METHODS[0] else ():
-                arrays[name][:] = np.nan  # CasADi's QR leaves the outputs unchanged where it fails
-            evaluator.run()
-            if arrays["defect"][0] <= 0:
-                return
-            if not np.isfinite(self.gradient).all():
-                break
-        solved = math.isfinite(arrays["defect"][0]) and np.any(arrays[step])
-        if not solved:  # for a singular matrix CasADi's QR returns zeros
-            for name in measures:
-                arrays[name][:] = np.nan
+    def relinearize(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Evaluate ∇S and ∇²S at a point; returns ∇S."""
+        self.matrix, gradient, self._masses = self.evaluate("derivatives", unknowns, data)
+        return gradient
 
     def newton_step(self, unknowns: np.ndarray, data: Data) -> Iterate:
         """Evaluate ∇S and ∇²S at a point, and solve for the Newton step.
 
         The norm of the step is NaN where ∇²S is singular to the last digit.
         """
-        self._evaluate("derivatives", unknowns, data)
-        self._solve(self.stationarity.linear_solver.newton_step, "step", "norm")
-        arrays = self._arrays
-        matrix, smallest_curvature_direction = arrays["matrix"].copy(), arrays["smallest_curvature_direction"].copy()
-        step, sizes = arrays["step"].copy(), arrays["sizes"].copy()
-        norm, length, step_length = (arrays[name].item() for name in ("norm", "path_length", "step_length"))
-        return Iterate(unknowns, step, sizes, norm, length, step_length, matrix, smallest_curvature_direction)
+        outputs, lengths = self._solved("newton_step", self.stationarity.newton_step, unknowns, *data)
+        step, self.direction, sizes, self.matrix = outputs
+        norm, length, step_length, _ = lengths
+        return Iterate(unknowns, step, sizes, norm, length, step_length, self.matrix, self.direction)
 
     def return_to(self, at: Iterate) -> None:
         """Restore ∇²S and the direction of smallest curvature of an earlier iterate."""
-        self._arrays["matrix"][:], self._arrays["smallest_curvature_direction"][:] = (
-            at.matrix,
-            at.smallest_curvature_direction,
-        )
-
-    def relinearize(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Evaluate ∇S and ∇²S at a point; returns a copy of ∇S."""
-        self._evaluate("derivatives", unknowns, data)
-        return self.gradient.copy()
-
-    def terms(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Sums of the sizes of the terms of every entry of ∇S, (n,); evaluates ∇S, but not ∇²S."""
-        self._evaluate("summary", unknowns, data)
-        return self._arrays["terms"].copy()
+        self.matrix, self.direction = at.matrix, at.direction
 
     def simplified_step(
         self, unknowns: np.ndarray, data: Data, at: Iterate, damping: float
@@ -251,45 +246,23 @@ class Linearization:
         the step, its length and its nonlinearity (`LinearSolver.simplified_step`); NaN where the gradient is not finite
         or the Hessian is singular to the last digit
         """
-        for name, value in (("step", at.step), ("sizes", at.sizes), ("damping", damping)):
-            self._arrays.setdefault(name, np.zeros(np.size(value)))[:] = value
-        self._evaluate("gradient", unknowns, data)
-        self._solve(self.stationarity.linear_solver.simplified_step, "simplified", "length", "nonlinearity")
-        step, length, nonlinearity = (self._arrays[name] for name in ("simplified", "length", "nonlinearity"))
-        return step.copy(), length.item(), nonlinearity.item()
+        inputs = [unknowns, *data, self.matrix, at.step, at.sizes, np.array([damping])]
+        (step,), (length, nonlinearity, _) = self._solved("simplified", self.stationarity.simplified_step, *inputs)
+        return step, length, nonlinearity
 
     def verification(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float, np.ndarray]:
         """S, momenta, residual and importance of components at a point; before the last, the last ∇²S's regularity."""
-        self._evaluate("summary", unknowns, data)
-        key = ("verification",)
-        (self._evaluators.get(key) or self._bind(key, self.stationarity.linear_solver.verification)).run()
-        names = "action", "momentum", "residual", "regularity", "importance"
-        action, momentum, residual, regularity, importance = (self._arrays[name].copy() for name in names)
+        evaluator = self.keep("verification", lambda: Evaluator(self.stationarity.verification))
+        found = evaluator.evaluated(unknowns, *data, self.matrix, self.direction)
+        action, momentum, residual, regularity, importance = found
         return action.item(), momentum, residual.item(), regularity.item(), importance
-
-    def evaluate(self, name: str, unknowns: np.ndarray, data: Data, *further: np.ndarray) -> list[np.ndarray]:
-        """Evaluate one of the functional's own Functions without changing ∇S and ∇²S; returns copies."""
-        key = name, "apart"
-        if key not in self._evaluators:
-            self._evaluators[key] = Evaluator(self.stationarity.functional.function(name))
-        return self._evaluators[key](unknowns, *data, *further)
 
     def solve(self, *rhs: np.ndarray, transposed: bool = False) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, with the present `matrix`; not finite where that is singular."""
-        columns, linear = len(rhs), self.stationarity.linear_solver
-        y = np.full(columns * linear.numbering.free, np.nan)
-        for method in self.methods:
-            key = "solutions", method, str(columns), str(transposed)
-            if key not in self._evaluators:
-                solutions = linear.solutions(method, columns, transposed)
-                self._evaluators[key] = Evaluator(solutions, {"matrix": self.matrix})
-            y, defect = self._evaluators[key](np.concatenate(rhs))
-            if defect[0] <= 0:
-                break
-        else:
-            if not np.any(y):  # for a singular matrix CasADi's QR returns zeros
-                y[:] = np.nan
-        return list(y.reshape(columns, -1))
+        count, linear = len(rhs), self.stationarity.linear_solver
+        build = partial(linear.solving, "solutions", columns=count, transposed=transposed)
+        (y,), (defect,) = self._solved((count, transposed), build, self.matrix, np.concatenate(rhs))
+        return list(y.reshape(count, -1) + 0 * defect)
 
     def least_squares(self, unknowns: np.ndarray, data: Data, multipliers: np.ndarray, sizes: np.ndarray) -> np.ndarray:
         """The multipliers, by their numbers, which are zero among `unknowns`, that leave the least of ∇S.
@@ -297,15 +270,14 @@ class Linearization:
         Virtual work is measured, ∇S times the `sizes` of components, (d,).  With G the rows of ∇²S that belong to the
         multipliers, and W the squares of one over the sizes, W y + Gᵀμ = -∇S and G y = 0.
         """
-        self._evaluate("derivatives", unknowns, data)
-        linear = self.stationarity.linear_solver
-        self.gradient[multipliers] = self.matrix[linear.without_multipliers] = 0.0
+        gradient, linear = self.relinearize(unknowns, data), self.stationarity.linear_solver
+        gradient[multipliers] = self.matrix[linear.without_multipliers] = 0.0
         for entries, size in zip(linear.diagonal, sizes, strict=True):
             self.matrix[entries] = size**-2.0
         if linear.numbering.free_duration:
             self.matrix[-1] = 1.0
-        self._solve(linear.newton_step, "step", "norm")
-        return self._arrays["step"][multipliers]
+        build = partial(linear.solving, "newton_step")
+        return self._solved("squares", build, self.matrix, gradient, joined(unknowns, data))[0][0][multipliers]
 
     def refined(
         self, unknowns: np.ndarray, data: Data, rhs: Iterable[np.ndarray], solutions: list[np.ndarray]
@@ -325,7 +297,7 @@ class Linearization:
         those of each component are taken to be as large as the other components' at the same node, with forces measured
         by the square roots of stiffnesses.  Returns a change for each of `SIGN_SAMPLES` choices of the signs, (·, n).
         """
-        linear, terms = self.stationarity.linear_solver, self.terms(unknowns, data)
+        linear, terms = self.stationarity.linear_solver, self.evaluate("summary", unknowns, data)[3]
         numbering, positions = linear.numbering, linear.numbering.positions
         stiffness = np.sqrt([np.max(np.abs(self.matrix[entries]), initial=0.0) for entries in linear.diagonal])
         shared = np.append(terms, np.zeros(numbering.size - numbering.free))[numbering.of_nodes]
@@ -334,6 +306,10 @@ class Linearization:
         terms[:positions] = np.fmax(terms[:positions], of_others)
         signs = np.random.default_rng(len(terms)).choice((-EPS, EPS), (SIGN_SAMPLES, len(terms)))
         return np.array(self.solve(*(signs * terms)))
+
+
+def _evaluator(build: Callable[[str], ca.Function], name: str) -> Evaluator:
+    return Evaluator(build(name))
 
 
 def joined(unknowns: np.ndarray, data: Data) -> np.ndarray:

@@ -44,7 +44,7 @@ def test_a_step_with_regularized_conditions_is_that_of_qr(case, intervals):
     unknowns = transcription.unknowns(transcription.guess_on_mesh(guess, transcription.mesh).values.T, data)
     derivatives, linear = transcription.functional.function("derivatives"), transcription.stationarity.linear_solver
     given = (*derivatives(unknowns, *data)[:2], np.concatenate((unknowns, *data[:2])))
-    steps = [linear.newton_step(method)(*given)[0] for method in METHODS]
+    steps = [linear.solving("newton_step", method)(*given)[0] for method in METHODS]
     ldl, qr = (np.array(step).ravel() for step in steps)
     np.testing.assert_allclose(ldl, qr, rtol=0, atol=SAME * np.max(np.abs(qr)))
 
