@@ -45,6 +45,7 @@ def test_paths_with_free_ends_are_counted_once_for_all_turns():
     assert found.alternating_sum == 0
 
 
+@pytest.mark.slow
 def test_a_length_beside_an_angle_has_no_turns():
     """A mass on a spring that turns round: one path for each number of turns, of the same action either way."""
     problem = cg.BoundaryProblem(

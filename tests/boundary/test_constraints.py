@@ -479,6 +479,7 @@ def test_a_constraint_of_which_a_corner_of_the_end_is_singular_is_refused():
 
 
 @pytest.mark.parametrize("how", [{"tol": 1e-8}, {"method": METHOD, "intervals": 6}], ids=str)
+@pytest.mark.slow
 def test_a_component_that_a_constraint_keeps_at_zero_is_zero_but_for_rounding(how):
     """A differential gear whose wheels turn against one another: its cage rests, but for their rounding."""
     problem = cg.BoundaryProblem(

@@ -160,6 +160,7 @@ def test_the_friction_of_a_forced_path_is_walked():
     assert branch.trajectories[-1](1.0)[0] == pytest.approx(-1.767917533169265, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_gravity_of_a_constrained_path_is_walked():
     problem = cg.BoundaryProblem(
         lambda t, x, v, p: ca.sumsqr(v) / 2 - p[0] * x[1],

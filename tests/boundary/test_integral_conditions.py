@@ -88,6 +88,7 @@ def bump_down(t):
     return np.array([0.9 * (t**2 - 1)])
 
 
+@pytest.mark.slow
 def test_didos_arc_is_that_of_a_circle():
     path, (r, half) = cg.solve(dido(), tol=1e-13, guess=bump()), radius()
     height = np.sqrt(r**2 - (path.t - 0.5) ** 2) - r * np.cos(half)
@@ -130,6 +131,7 @@ def test_the_estimated_error_holds_for_the_multiplier(method):
     assert error <= path.estimate_error()
 
 
+@pytest.mark.slow
 def test_paths_finds_modes_up_to_their_sign():
     found = cg.paths(mathieu(1.0), METHOD, 12, count=4, symmetries=[lambda x: -x])
     for path in found:

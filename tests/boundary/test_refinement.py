@@ -404,6 +404,7 @@ def test_the_estimate_of_a_path_on_a_mesh_tells_that_its_variations_are_not_reso
     assert cg.solve(kink(3), cg.Galerkin(4), intervals=20).estimate_error() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_times_far_from_zero_cannot_keep_is_refused_before_joints_coincide():
     """Times near 1e9 are rounded by 1e-7, and L depends on them."""
     began = 1e9
@@ -427,6 +428,7 @@ def test_a_rule_with_points_on_a_named_jump_is_told_so():
 
 
 @pytest.mark.parametrize(("named", "tol"), [(True, 1e-3), (False, 1e-3), *slow((False, 1e-6))])
+@pytest.mark.slow
 def test_a_pivot_moved_along_a_spline_is_followed_with_and_without_its_knots(named, tol):
     """A pendulum in Cartesian coordinates; the same one by its angle is the reference."""
     knots = np.arange(0.25, 3.0, 0.25)
@@ -466,6 +468,7 @@ def test_a_path_from_the_center_of_a_ball_is_found_on_few_intervals(n, tol):
 
 
 @pytest.mark.parametrize(("load", "tol"), [(100.0, 1e-4), (1.0, 1e-6)])
+@pytest.mark.slow
 def test_a_center_does_not_hide_a_step_elsewhere(load, tol):
     """(t⁴ x')' = t⁴ (1 + load) up to t = 0.31, and then without the load."""
     n, step = 4, 0.31

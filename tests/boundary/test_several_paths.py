@@ -76,6 +76,7 @@ def test_the_swings_of_the_pendulum_are_all_and_no_others(swings):
 
 
 @pytest.mark.parametrize("rate", [2.0, *slow(3.5)])
+@pytest.mark.slow
 def test_both_paths_of_bratu_are_found(rate):
     found = cg.paths(cg.BoundaryProblem(bratu(rate), (0, 1), [0.0], [0.0]), cg.Galerkin(8), 16)
     assert found.solves <= SOLVES
@@ -176,6 +177,7 @@ def test_zigzags_of_a_coarse_mesh_are_dropped(swings):
 
 
 @pytest.mark.parametrize("duration", [4.0, *slow(8.0)])
+@pytest.mark.slow
 def test_where_the_straight_line_leads_to_nothing_its_load_does(duration):
     """A spring that pulls with the cube of its length; every path is a swing from its own velocity at the start."""
     spring = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 4 / 4, (0, duration), [0.0], [2.0])

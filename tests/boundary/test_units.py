@@ -78,6 +78,7 @@ def test_a_path_is_the_same_in_any_units(number):
 
 
 @pytest.mark.parametrize("number", [2, *slow(*NUMBERS[3:])], **NAMES)
+@pytest.mark.slow
 def test_derivatives_by_the_ends_are_the_same_in_any_units(number):
     expected, *others = (cg.sensitivity(solved(number, units)) for units in [ONE, *UNITS])
     for other in others:

@@ -114,6 +114,7 @@ def test_control_points_that_lose_order_are_refused():
 @pytest.mark.parametrize(
     "how", [{"method": cg.Galerkin(4), "intervals": 12}, {"method": cg.Galerkin(6), "intervals": 8}]
 )
+@pytest.mark.slow
 def test_a_path_that_jumps_through_the_center_of_its_circle_is_refused(how):
     """It costs nothing, and all nodes are held."""
     with pytest.raises(cg.ConvergenceError, match=r"leaves its constraint between the nodes, near t = 1\.5"):

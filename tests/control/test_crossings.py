@@ -106,6 +106,7 @@ def differences(path, exact):
 
 
 @pytest.mark.parametrize(("degree", "parts"), [(2, (3, 6, 9)), *slow((3, (2, 3, 4)))])
+@pytest.mark.slow
 def test_both_sides_of_a_jump_have_twice_the_degree(degree, parts):
     problem = staged(**GIVEN, waypoints=())
     marks = [0.0, *problem.breakpoints, 2.0]

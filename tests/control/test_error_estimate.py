@@ -52,6 +52,7 @@ def two_rates(running_cost):
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e-6, 1e-12])
+@pytest.mark.slow
 def test_estimate_is_twice_a_sharp_one_where_a_component_hardly_counts_in_the_cost(weight):
     """It leaves its ends within 0.03.  An optimizer stops long before it knows where, by any tolerance of the slope.
 
@@ -65,6 +66,7 @@ def test_estimate_is_twice_a_sharp_one_where_a_component_hardly_counts_in_the_co
     assert 0.8 < path.error_estimate / error / SAFETY < 1.5
 
 
+@pytest.mark.slow
 def test_a_path_that_the_cost_leaves_open_is_refused_and_its_cost_is_known():
     """The cost knows y = x_1 + x_2 alone, (∫ y'² + y² dt)/2, and leaves the difference open."""
     task = two_rates(lambda t, x, v, u: ((u[0] + u[1]) ** 2 + (x[0] + x[1]) ** 2) / 2)
@@ -132,6 +134,7 @@ def test_what_a_bound_of_a_first_order_component_is_exceeded_by_counts_in_the_co
     assert path.cost_error <= asked
 
 
+@pytest.mark.slow
 def test_a_path_constraint_of_no_values_limits_nothing():
     """As of a program that has found no obstacles."""
     path = cg.solve(double_integrator(path_constraint=(lambda t, x, v, u: [], 0, 1)), tol=1e-5)
@@ -195,6 +198,7 @@ def test_a_wall_thinner_than_an_interval_is_not_flown_through(asked):
         assert path.cost == pytest.approx(6.472, rel=2e-2)
 
 
+@pytest.mark.slow
 def test_an_impulse_shorter_than_the_distance_of_the_first_point_is_seen():
     """The speed is 0.0024 off the singular arc x' = -x.  Both degrees reached it within an instant, at a cost of x²/2.
 

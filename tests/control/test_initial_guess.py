@@ -19,6 +19,7 @@ def at_first(program):
     return program.problem, program.calculus
 
 
+@pytest.mark.slow
 def test_warm_start_from_a_coarser_answer_saves_iterations():
     coarse = cg.solve(cart_pole(), cg.Galerkin(4), intervals=20)
     cold = cg.solve(cart_pole(), cg.Galerkin(4), intervals=40)

@@ -45,6 +45,7 @@ def test_what_is_not_finite_at_the_guess_is_named_with_its_time(name):
         cg.solve(double_integrator(**changes), cg.Galerkin(2), intervals=10, guess=lambda t: [t])
 
 
+@pytest.mark.slow
 def test_a_function_that_fails_at_the_guess_is_named():
     z, a = ca.SX.sym("z"), ca.SX.sym("a")
     root = ca.rootfinder("root", "newton", ca.Function("square", [z, a], [z**2 - a]))  # of no negative a

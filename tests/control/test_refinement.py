@@ -487,6 +487,7 @@ def test_time_is_a_limit_within_a_level():
 
 
 @pytest.mark.parametrize("failing", ["the estimate", "the next mesh"])
+@pytest.mark.slow
 def test_a_level_that_fails_is_tried_on_a_finer_mesh(monkeypatch, failing):
     """IPOPT is made to give up on one solve in the middle: the answer is true nevertheless."""
     solve, levels = ControlRefinement.solve, []

@@ -56,6 +56,7 @@ def test_it_is_rounding_where_the_cost_knows_the_path(problem):
     assert path.error_estimate >= path.solver_error
 
 
+@pytest.mark.slow
 def test_controls_that_share_the_work_anyhow_leave_no_doubt_of_the_path():
     problem = double_integrator(
         controls=2,

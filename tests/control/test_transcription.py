@@ -89,6 +89,7 @@ MESHES = {
 @pytest.mark.parametrize(
     ("problem", "degree"), [(varying_mass, 2), *slow(*(case for case in MESHES if case != (varying_mass, 2)))]
 )
+@pytest.mark.slow
 def test_cost_converges_with_twice_the_degree(problem, degree):
     meshes, (exact, _) = MESHES[problem, degree], resolved(problem)
     errors = [abs(cg.solve(problem(), cg.Galerkin(degree), n).cost - exact) for n in meshes]

@@ -319,6 +319,7 @@ def test_the_error_over_an_edge_is_the_same_on_any_mesh(intervals):
     assert cg.solve(step, cg.Galerkin(4), intervals).estimate_error() > 0.1
 
 
+@pytest.mark.slow
 def test_over_a_kink_in_x_there_is_no_second_variation():
     """The path of a constant pull to the origin turns round there: its Hessian said minimum, but the index is one."""
 

@@ -220,6 +220,7 @@ def test_a_branch_without_morse_indices_is_drawn_as_one():
     assert line.get_label() == "no Morse index"
 
 
+@pytest.mark.slow
 def test_an_answer_shows_its_words_and_its_picture_in_a_notebook():
     import matplotlib.pyplot as plt
 

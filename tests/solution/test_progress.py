@@ -35,6 +35,7 @@ def test_a_long_calculation_has_a_bar_in_a_terminal(name, monkeypatch):
 
 
 @pytest.mark.parametrize("terminal", [Terminal(), io.StringIO(), None], ids=["short", "elsewhere", "nowhere"])
+@pytest.mark.slow
 def test_no_bar_is_shown_where_nobody_sees_it_or_it_would_flash(terminal, monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal)
     for run in LONG.values():

@@ -54,6 +54,7 @@ def test_a_tolerance_of_a_quantity_is_met_by_the_quantity(exact, name, tol):
     assert f"{path.error_estimate:.1e}, estimated, relative to the size of each component" in repr(path)
 
 
+@pytest.mark.slow
 def test_momenta_need_fewer_intervals_than_positions_and_velocities_more():
     few, some, more = (
         len(cg.solve(SWING, cg.Galerkin(4), tol=1e-7, of=of).t)

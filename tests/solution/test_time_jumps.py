@@ -127,6 +127,7 @@ def test_steps_that_no_derivative_sees_are_refused(name):
         cg.solve(double_integrator(t_span=(0.0, 1.5), **STEPS[name]), tol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_time_of_a_step_is_named():
     """The solver, blind to it, takes the way 3 s² - 2 s³ with s = t / 1.5."""
     with pytest.raises(cg.LimitReached, match=r"At t = 0\.75 a callable steps"):

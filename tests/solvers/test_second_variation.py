@@ -173,6 +173,7 @@ def test_a_family_of_paths_is_refused_and_mostly_named_whatever_else_moves_and_i
     assert np.count_nonzero(answers) > len(cases) / 2
 
 
+@pytest.mark.slow
 def test_a_curved_family_of_paths_is_refused_and_mostly_named():
     """Circular orbits of one period: each step along the family leaves it by the step's square."""
     w, cases = 2 * np.pi / 5, [(8, 100), (4, 100), (12, 10)]

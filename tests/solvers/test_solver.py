@@ -214,6 +214,7 @@ def test_refusing_a_value_prints_nothing(solver, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_an_answer_of_the_rootfinder_that_cannot_be_verified_is_refused_and_newton_named():
     problem = cg.BoundaryProblem(pendulum, (0, 20), [0.0], [10.0])
     with pytest.raises(cg.ConvergenceError, match=r"CasADi's rootfinder could not be verified.*cg\.newton has"):

@@ -123,6 +123,7 @@ def test_friction_shrinks_every_step_by_the_same_factor():
     np.testing.assert_allclose(measured.determinants, np.exp(-0.4 * 0.3), rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_momentum_map_that_is_not_affine_is_kept_to_the_order_of_the_method():
     """A particle on a sphere in angles: rotations about the pole are translations, about another axis not affine."""
 
@@ -177,6 +178,7 @@ def rotation(x):
     return [-x[1], x[0]]
 
 
+@pytest.mark.slow
 def test_a_symmetry_of_cost_and_forces_is_conserved_along_an_optimal_path_to_the_methods_order():
     spreads = []
     for intervals in (6, 12, 24):

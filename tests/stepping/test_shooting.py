@@ -306,6 +306,7 @@ def test_a_shot_that_does_not_converge_is_not_blamed_on_rounding():
     assert "double" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_shooting_to_a_tolerance_halves_its_steps():
     fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 4), [0.0], [1.0])
     path, exact = cg.shoot(fall, tol=1e-6), cg.solve(fall, tol=1e-10)

@@ -49,6 +49,7 @@ def test_condition_numbers_are_those_of_the_closed_form(horizon):
 
 
 @pytest.mark.parametrize("horizon", [200, 700])
+@pytest.mark.slow
 def test_long_horizons_are_still_solved_globally(horizon):
     comparison = cg.compare(cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0]), METHOD, intervals=horizon)
     path = comparison.global_path
@@ -178,6 +179,7 @@ def test_a_given_energy_is_compared():
     assert comparison.condition_global == pytest.approx(np.max(magnified), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_periodic_path_of_given_energy_is_compared():
     problem = cg.BoundaryProblem(pendulum, (0, 7.0), [None], periodic=True, energy=-0.5)
     turning = cg.solve(problem, cg.Galerkin(4), 12, guess=lambda t: [np.sin(2 * np.pi * t / 7 + 0.3)])
@@ -223,6 +225,7 @@ def test_the_plot_shows_the_gap(forty):
     assert forty.plot(axes) is axes
 
 
+@pytest.mark.slow
 def test_a_global_failure_is_raised():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, np.pi), [0.0], [1.0])
     with pytest.raises(cg.ConvergenceError):

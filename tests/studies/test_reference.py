@@ -118,6 +118,7 @@ def test_a_callable_tells_the_path_and_a_solve_its_cost_and_energy():
     assert max(row.error, row.functional_error, row.energy_error) < 1e-8  # IPOPT's tolerance
 
 
+@pytest.mark.slow
 def test_a_quantity_is_relative_to_its_value_on_the_reference(oscillator):
     """The position at t = 1 under a reference of sin(t) that is half of it, then all of it."""
     row = cg.trade(oscillator, [cg.Galerkin(8)], [8], lambda t: [np.sin(t) / 2], of=lambda path: path(1.0)[0])

@@ -70,6 +70,7 @@ def identical(one, other):
             assert str(a) == str(b)
 
 
+@pytest.mark.slow
 def test_answers_are_those_of_single_solves_in_order(serial):
     for rate, answer in zip(RATES, serial, strict=True):
         problem = bratu_problem().varied({"parameters": [rate]}, (0.0, 1.0))

@@ -30,6 +30,7 @@ def test_fitted_order_between_the_joints_is_degree_plus_one(measured, degree, or
     assert measured.order(cg.Galerkin(degree)) == pytest.approx(order, abs=BAND)
 
 
+@pytest.mark.slow
 def test_order_is_not_fitted_to_roundoff(oscillator):
     fine = cg.trade(oscillator, [cg.Galerkin(12)], [4, 8, 16], reference=lambda t: [np.sin(t)])
     assert fine.order(cg.Galerkin(12)) is None
@@ -125,6 +126,7 @@ def test_a_problem_with_a_function_of_this_process_is_refused_before_any_cell():
         cg.trade(pendulum_with_callback(), [cg.Galerkin(4)], [10])
 
 
+@pytest.mark.slow
 def test_a_way_that_fails_is_a_row_that_says_why():
     """Beyond half a period the path of an oscillator is a saddle of the action, which no minimizer finds."""
     problem = oscillator_problem(t_span=(0.0, 4.0))
@@ -134,6 +136,7 @@ def test_a_way_that_fails_is_a_row_that_says_why():
     assert measured.cheapest(1e-3).solver is cg.newton
 
 
+@pytest.mark.slow
 def test_failed_cells_stay_with_their_reason():
     """Bratu's critical value is 8/e = 2.94 for the trapezoidal rule on 2 intervals, 3.5138 in the limit."""
     bratu = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 3.513 * ca.exp(x[0]), (0.0, 1.0), [0.0], [0.0])
@@ -327,12 +330,14 @@ def test_errors_of_paths_that_jump_at_free_times_have_the_order_of_the_method():
     assert max(row.joint_error for row in measured.rows) < 1e-4
 
 
+@pytest.mark.slow
 def test_energy_error_is_relative_to_the_whole_path():
     """A path at rest at both ends has no energy at the joints to compare with."""
     exact = cg.trade(double_integrator(), [cg.Galerkin(3)], (1,), reference=lambda t: [3 * t**2 - 2 * t**3])
     assert max(exact.rows[0].error, exact.rows[0].energy_error) < REFERENCE
 
 
+@pytest.mark.slow
 def test_shooting_a_given_energy_has_the_errors_of_the_global_path():
     problem = cg.BoundaryProblem(pendulum, (0.0, 0.8), [0.0], [1.0], energy=0.5)
     whole, shot = cg.trade(problem, [cg.Galerkin(3)], [6], shooting=True).rows

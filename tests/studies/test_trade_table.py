@@ -131,6 +131,7 @@ def test_rules_have_short_names(method, name, relative):
 
 
 @pytest.mark.usefixtures("headless")
+@pytest.mark.slow
 def test_a_legend_names_what_is_drawn_and_nothing_else():
     rows = [
         row(1.0, 1e-3, solver=cg.newton),
@@ -158,6 +159,7 @@ def test_lines_of_one_name_are_all_drawn():
 
 
 @pytest.mark.usefixtures("headless")
+@pytest.mark.slow
 def test_plot_shows_the_floor_on_logarithmic_axes_and_a_low_legend(measured):
     axes = measured.plot()
     axes.figure.draw_without_rendering()
