@@ -58,7 +58,7 @@ def bounds_of(
     for k, (problem, chain) in enumerate(zip(phases, numbering.chains, strict=True)):
         _bound_phase(sides, equations, problem, chain)
         if k == 0 and "begin" in chain.free:
-            _limit(sides, chain.fields["begin"][-1], problem.initial_time_bounds or [problem.t_span[0]] * 2)
+            _limit(sides, chain.fields["begin"][-1], problem.initial_time_bounds or [problem.t_span[:1]] * 2)
         for i, (rows, satisfied) in enumerate(_constraint_at_ends(problem, chain)):
             goes_on = k > 0 and i < 2 and phases[k - 1].constraint is not None
             free = np.where((satisfied | goes_on) & (not implied), np.inf, 0.0)

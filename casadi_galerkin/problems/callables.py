@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, Literal, TypeAlias, TypeGuard
 
@@ -93,7 +94,7 @@ def _traced(
     name: str, function: Traceable, sizes: Mapping[str, int], taken: Iterable[str], rows: int | Rows, shapes: str
 ) -> ca.Function:
     """A callable of the arguments that it has `taken` as a Function of all, from columns to one column."""
-    _refuse_order(name, function, list(taken))
+    _check_signature(name, function, list(taken))
     symbols = {key: ca.SX.sym(key, size) for key, size in sizes.items()}
     copies = {key: symbols[key][:] for key in taken}  # which it may change
     value = _called(name, function, copies, shapes)
@@ -130,18 +131,29 @@ def _refuse_free(name: str, function: ca.Function, shapes: str) -> None:
         raise ValueError(f"{name} depends on {', '.join(function.get_free())} besides its arguments {shapes}")
 
 
+def _check_signature(name: str, function: Traceable, expected: list[str]) -> None:
+    """Refuse a callable of other arguments, or of these in another order, as far as its signature is known."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        return
+    taken = list(signature.parameters)
+    swapped = taken != expected and sorted(taken) == sorted(expected)
+    with suppress(TypeError):
+        signature.bind(*expected)
+        if not swapped:
+            return
+    hint = _about_p(expected) if len(taken) > len(expected) or "p" in expected else ""
+    if "u" in taken and "u" not in expected:
+        hint = ". Controls u are chosen by a ControlProblem, whose callables take them"
+    order = ", in this order" if swapped else ""
+    raise TypeError(f"{name} is called as {name}({', '.join(expected)}){order}, got one of ({', '.join(taken)}){hint}")
+
+
 def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shapes: str) -> Any:
     try:
         return function(*arguments.values())
     except Exception as error:
-        if not _takes(function, len(arguments)):
-            taken = _names(function)
-            words = f"{name} is called as {name}({', '.join(arguments)}): {error}"
-            if "u" in taken and "u" not in arguments:
-                words += ". Controls u are chosen by a ControlProblem, whose callables take them"
-            elif len(taken) > len(arguments) or "p" in arguments:
-                words += _about_p(arguments)
-            raise TypeError(words) from error
         kind = TypeError if isinstance(error, TypeError) else ValueError
         failed = f"{name} failed when called with CasADi symbols {shapes}"
         if isinstance(error, IndexError) or "out of bounds" in str(error).lower():
@@ -152,38 +164,11 @@ def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shap
         raise kind(f"{failed}: {reason}" if own else f"{failed}: {reason}. {ADVICE}") from error
 
 
-def _names(function: Traceable) -> list[str]:
-    """Names of the arguments of a callable, as far as its signature is known."""
-    try:
-        return list(inspect.signature(function).parameters)
-    except (TypeError, ValueError):
-        return []
-
-
-def _refuse_order(name: str, function: Traceable, expected: list[str]) -> None:
-    """Refuse a callable that names its arguments as they are called, but takes them in another order."""
-    taken = _names(function)
-    if taken != expected and sorted(taken) == sorted(expected):
-        called, got = ", ".join(expected), ", ".join(taken)
-        raise TypeError(f"{name} is called as {name}({called}), in this order, got one of ({got})")
-
-
-def _about_p(arguments: Mapping[str, object]) -> str:
+def _about_p(arguments: Iterable[str]) -> str:
     """A sentence on why the callable is called with or without parameters p."""
     if "p" in arguments:
         return ". It is called with p because parameters are given"
     return ". If it takes p, give parameters" if "v" in arguments else ""
-
-
-def _takes(function: Traceable, count: int) -> bool:
-    """Whether a callable accepts a number of arguments, as far as its signature is known."""
-    try:
-        inspect.signature(function).bind(*range(count))
-    except TypeError:
-        return False
-    except ValueError:  # it has no signature
-        return True
-    return True
 
 
 def _column(name: str, values: Iterable[Any]) -> Any:

@@ -11,7 +11,7 @@ where z are the components of x that follow rates, and c is a holonomic constrai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -31,6 +31,7 @@ from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import Problem, is_given, section_times, with_values
 from casadi_galerkin.problems.statements import (
     Made,
+    Reader,
     dimension,
     function,
     lagrangian,
@@ -96,28 +97,20 @@ def _breakpoints(name: str, value: Any, made: Made) -> tuple[float, ...]:
     return times_inside("breakpoints, waypoints and jumps", sorted(named), made["t_span"])
 
 
-def _duration_bounds(name: str, value: Any, made: Made) -> Bounds | None:
-    if value is None:
-        return None
-    low, high = bounds(name, value, len(made["breakpoints"]) + 1)
-    if min(low) <= 0:
-        raise ValueError(f"{name} must be positive, got {value}")
-    return low, high
+def _sides(count: Callable[[Made], int], positive: bool = False) -> Reader:
+    """(lo, hi) of what is free within them, of so many values; None where nothing is."""
 
+    def reader(name: str, value: Any, made: Made) -> Bounds | None:
+        if value is None:
+            return None
+        if not count(made):
+            raise ValueError(f"{name} need parameters, which are the guess")
+        low, high = bounds(name, value, count(made))
+        if positive and min(low) <= 0:
+            raise ValueError(f"{name} must be positive, got {value}")
+        return low, high
 
-def _initial_time_bounds(name: str, value: Any, _: Made) -> tuple[float, float] | None:
-    if value is None:
-        return None
-    (low,), (high,) = bounds(name, value, 1)
-    return low, high
-
-
-def _parameter_bounds(name: str, value: Any, made: Made) -> Bounds | None:
-    if value is None:
-        return None
-    if made["parameters"] is None:
-        raise ValueError(f"{name} need parameters, which are the guess")
-    return bounds(name, value, len(made["parameters"]))
+    return reader
 
 
 STATEMENTS = {
@@ -139,11 +132,11 @@ STATEMENTS = {
     "control_rate_bounds": within("controls"),
     "velocity_bounds": within("x"),
     "start_bounds": within("x"),
-    "initial_time_bounds": _initial_time_bounds,
+    "initial_time_bounds": _sides(lambda _: 1),
     "initial_cost": function("t x v", "scalar"),
     "path_constraint": limited("t x v u"),
-    "duration_bounds": _duration_bounds,
-    "parameter_bounds": _parameter_bounds,
+    "duration_bounds": _sides(lambda made: len(made["breakpoints"]) + 1, positive=True),
+    "parameter_bounds": _sides(lambda made: len(made["parameters"] or ())),
     "end_conditions": limited("x0 v0 x1 v1"),
     "hold": switch,
     "constraint": function("t x", "any"),
@@ -256,7 +249,7 @@ class ControlProblem(Problem):
     control_rate_bounds: Bounds
     initial_cost: ca.Function | None
     start_bounds: Bounds
-    initial_time_bounds: tuple[float, float] | None
+    initial_time_bounds: Bounds | None
     statements, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, RULES_OF_VALUES, (singular_mass,)
 
     def __init__(

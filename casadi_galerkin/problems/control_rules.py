@@ -104,9 +104,9 @@ def _bounds_at_ends(problem: Any) -> Iterator[str]:
     for i, (low, high) in enumerate(zip(*problem.start_bounds, strict=True)):
         if low > of_positions[1][i] or high < of_positions[0][i]:
             yield f"start_bounds[{i}] = ({low}, {high}) lie outside the position_bounds of x[{i}]"
-    first, (low, high) = problem.t_span[0], problem.initial_time_bounds or (-np.inf, np.inf)
-    if not low <= first <= high:
-        yield f"initial_time_bounds ({low}, {high}) must hold the guess, t_span begins at {first}"
+    for low, high in zip(*(problem.initial_time_bounds or ((), ())), strict=True):
+        if not low <= problem.t_span[0] <= high:
+            yield f"initial_time_bounds ({low}, {high}) must hold the guess, t_span begins at {problem.t_span[0]}"
 
 
 def _path_constraint_at_ends(problem: Any) -> Iterator[str]:

@@ -32,7 +32,7 @@ BADLY_STATED = {
         TypeError,
         r"at t = 0.5: jump must be a callable of \(x, v\), got \(\[1.0\], \[2.0\]\)",
     ),
-    "a law of x": ({"jumps": [(0.5, lambda x: x)]}, TypeError, r"jump is called as jump\(x, v\): "),
+    "a law of x": ({"jumps": [(0.5, lambda x: x)]}, TypeError, r"jump is called as jump\(x, v\), got one of \(x\)$"),
     "a law of parameters": (
         {"jumps": [(0.5, lambda x, v, p: (x, p * v))]},
         TypeError,

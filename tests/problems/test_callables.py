@@ -34,8 +34,8 @@ import casadi_galerkin as cg
         (lambda t, x, v: v[0] ** 2 + v[1] ** 2 + ca.MX.sym("k"), TypeError, "of SX, .* nor with MX symbols"),
         (lambda t, x, v: v[0] ** 2 + v[1] if x[0] > 0 else 0, ValueError, "failed when called with CasADi.*if_else"),
         (lambda t, x, v: sum(v**2), (TypeError, ValueError), r"failed [^\n]*[^.]\. Write it with"),
-        (lambda t, x: x[0], TypeError, r"lagrangian is called as lagrangian\(t, x, v\):"),
-        (lambda x, v: v[0], TypeError, r"lagrangian is called as lagrangian\(t, x, v\): .* 3 were given$"),
+        (lambda t, x: x[0], TypeError, r"lagrangian is called as lagrangian\(t, x, v\), got one of \(t, x\)$"),
+        (lambda x, v: v[0], TypeError, r"lagrangian is called as lagrangian\(t, x, v\), got one of \(x, v\)$"),
         (lambda x, v, t: v[0] * t, TypeError, r"lagrangian\(t, x, v\), in this order, got one of \(x, v, t\)"),
         (
             lambda t, x, v: v[2] ** 2,
@@ -57,11 +57,11 @@ def test_a_lagrangian_that_cannot_be_traced_is_refused(lagrangian, kind, message
 
 
 def test_a_lagrangian_of_parameters_is_called_with_them():
-    with pytest.raises(TypeError, match=r"is called as lagrangian\(t, x, v, p\):.* p because parameters are given"):
+    with pytest.raises(TypeError, match=r"is called as lagrangian\(t, x, v, p\), .* p because parameters are given"):
         oscillator_problem(parameters=[1.0, 2.0])
     with pytest.raises(ValueError, match=r"failed when called with CasADi symbols t, x, v, p \(2,\):"):
         oscillator_problem(lagrangian=lambda t, x, v, p: p[2] * v[0] ** 2, parameters=[1.0, 2.0])
-    with pytest.raises(TypeError, match=r"is called as lagrangian\(t, x, v\):.* If it takes p, give parameters"):
+    with pytest.raises(TypeError, match=r"is called as lagrangian\(t, x, v\), .* If it takes p, give parameters"):
         oscillator_problem(lagrangian=lambda t, x, v, p: p * v[0] ** 2)
 
 

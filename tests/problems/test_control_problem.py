@@ -29,7 +29,7 @@ BADLY_STATED = {
     "cost of parameters": (
         {"running_cost": lambda t, x, v, u, p: u**2},
         TypeError,
-        r"called as running_cost\(t, x, v, u\):.* If it takes p, give parameters",
+        r"called as running_cost\(t, x, v, u\), .* If it takes p, give parameters",
     ),
     "bounds that contradict": (
         {"control_bounds": (1, -1)},
