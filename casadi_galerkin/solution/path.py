@@ -66,8 +66,7 @@ class Path(Table, Pictured):
         ----------
         times : (K,); default all joints, and between two of them four times as many as the degree, enough to draw
         """
-        when = self.polynomial.times(sampling_parts(self.polynomial.degree)[:-1]) if times is None else times
-        t = np.atleast_1d(times_within(self.t, when)).ravel()
+        t = np.atleast_1d(times_within(self.t, self._dense_times if times is None else times)).ravel()
         return {"t": t, **by_component("x", self(t))}
 
     def to_dict(self, times: ArrayLike | None = None) -> dict[str, list[Any]]:
@@ -171,6 +170,11 @@ class Path(Table, Pictured):
         return self.polynomial.line(self.fine_times)
 
     @property
+    def _dense_times(self) -> np.ndarray:
+        """All joints, and times between them that show what a polynomial of this degree does there; (K,)."""
+        return self.polynomial.times(sampling_parts(self.polynomial.degree)[:-1])
+
+    @property
     def fine_times(self) -> np.ndarray:
         """Times (K,) at which a path is drawn and compared, with all joints."""
         return self.polynomial.times(np.linspace(0, 1, max(2, DRAWN_TIMES // (len(self.t) - 1)), endpoint=False))
@@ -229,7 +233,7 @@ def plot_component(
     """Draw one component of several paths, given with their names."""
     lines = []
     for name, path in paths:
-        times, values = path._line()
+        times, values = path.polynomial.line(path._dense_times)
         lines.append((name, times, values[checked_index("component", component, len(values))]))
     return plot_family(lines, axes, f"x[{component}]" if labels is None else labels, time)
 
