@@ -77,3 +77,18 @@ def test_guides_run_as_notebooks_that_show_their_figures(shown, tmp_path):
     assert not any("stderr" in output for output in outputs)
     drawn = [code for code in codes if "savefig" in code]
     assert sum("image/png" in output for output in outputs) >= len(drawn) > 2
+
+
+def test_pandas_reads_what_is_written(tmp_path):
+    import numpy as np
+    import pandas as pd
+
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0])
+    path, swept = cg.solve(problem, tol=1e-6), cg.sweep(problem, [{}, {"guess": [[np.nan] * 3]}], cg.Galerkin(2), 2)
+    for kept in (path, swept):
+        kept.to_csv(tmp_path / "kept.csv")
+        frame, table = pd.read_csv(tmp_path / "kept.csv"), pd.DataFrame(kept.to_dict())
+        assert list(frame) == list(table)
+        pd.testing.assert_frame_equal(frame.select_dtypes("number"), table.select_dtypes("number"), rtol=1e-14)
+    assert frame["failure"].isna().tolist() == [True, False]
+    assert pd.DataFrame(path.to_dict(times=[0.0, 0.5])).shape == (2, 5)

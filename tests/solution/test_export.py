@@ -163,18 +163,6 @@ def test_a_file_without_a_path_is_refused(tmp_path):
         cg.load(3)
 
 
-@pytest.mark.slow
-def test_pandas_reads_what_is_written(answer, tmp_path):
-    pandas = pytest.importorskip("pandas")
-    kept, names = answer
-    kept.to_csv(tmp_path / "kept.csv")
-    frame = pandas.read_csv(tmp_path / "kept.csv", keep_default_na=False, na_values="nan")
-    assert list(frame) == names
-    for name, column in pandas.DataFrame(kept.to_dict()).items():
-        if column.dtype == float:
-            np.testing.assert_allclose(frame[name], column, rtol=1e-14, atol=1e-300)
-
-
 def test_a_sweep_of_a_control_problem_has_costs():
     table = cg.sweep(double_integrator(), [{}, {"end": [2.0]}], cg.Galerkin(3), 4).table()
     np.testing.assert_allclose(table["cost"], [6, 24], rtol=1e-6)
