@@ -115,6 +115,13 @@ def test_the_first_screen_has_picture_code_and_what_comes_next_the_commands():
     assert text.count("![") <= 4
 
 
+def test_modules_that_the_contributing_guide_names_exist():
+    named = set(re.findall(r"`(\w+/\w+\.py)`", read(EXAMPLES / "guides" / "contributing.md")))
+    gone = {name for name in named if not any((folder / name).exists() for folder in (ROOT, ROOT / "casadi_galerkin"))}
+    assert len(named) > 5
+    assert gone == set()
+
+
 def test_readme_links_every_guide():
     assert sorted(set(re.findall(r"\]\(examples/guides/(\w+\.md)\)", read(README)))) == [guide.name for guide in GUIDES]
 
