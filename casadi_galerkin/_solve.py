@@ -45,7 +45,6 @@ def solve(
     intervals: int | None = None,
     *,
     tol: float | None = None,
-    cost_tol: float | None = None,
     of: Quantity | None = None,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
@@ -92,7 +91,6 @@ def solve(
     intervals: int | None = None,
     *,
     tol: float | None = None,
-    cost_tol: float | None = None,
     of: Quantity | None = None,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
@@ -115,10 +113,10 @@ def solve(
     An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`, or with `tol`: all steps are
     then halved until the error is small enough, and stay equal, as conserving energy wants.  A `ControlProblem`, whose
     answer is a ControlTrajectory, is solved by IPOPT or fatrop, with these or a tolerance, and a `guess`.  Its `tol`
-    bounds the relative errors of cost and duration as well, but not those of controls and free parameters.  `cost_tol`
-    bounds that of the cost alone, which is known long before the path, and even where many paths cost the same.  An
-    earlier answer to a tolerance, as guess, brings its mesh, where it has more intervals than refinement else begins
-    with.
+    bounds the relative errors of cost and duration as well, but not those of controls and free parameters.  With
+    ``of=lambda path: path.cost`` it bounds that of the cost alone, which is known long before the path, and even where
+    many paths cost the same.  An earlier answer to a tolerance, as guess, brings its mesh, where it has more intervals
+    than refinement else begins with.
 
     Parameters
     ----------
@@ -127,7 +125,6 @@ def solve(
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     tol : relative tolerance between 0 and 1
-    cost_tol : in place of `tol`, for a ControlProblem
     of : callable, a path -> a number, or an array whose shape does not depend on the mesh, such as
         ``lambda path: path.momentum[:, -1]``: what `tol` is the tolerance of; the answer has it as `asked`, and its
         estimated relative error as `asked_error`
@@ -177,7 +174,7 @@ def solve(
     if not isinstance(problem, ControlProblem) and whole(starts) != 1:
         several = "`paths` finds several paths of a BoundaryProblem"
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
-    tolerance = _tolerance(problem, tol, cost_tol)
+    tolerance = None if tol is None else check_tolerance(tol)
     _check_limits(limits, tolerance)
     check_asked(of, tol)
     if isinstance(problem, InitialProblem):
@@ -195,12 +192,12 @@ def solve(
         if isinstance(graph, ControlTranscription):
             return best_of(starts, graph.problem, guess, partial(graph.solve, solver=solver, verbose=verbose))
         return graph.solve(guess=guess, solver=solver, verbose=verbose)
-    limits, of_cost = limits or Limits(), cost_tol is not None
+    limits = limits or Limits()
     path: Trajectory
     if isinstance(problem, ControlProblem):
         check_solver(solver)
         method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh, guess, limits)
-        refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver, verbose, of)
+        refinement = ControlRefinement(problem, tolerance, method, limits, solver, verbose, of)
         path = refinement.run(joints, guess, starts)
     else:
         assert isinstance(problem, BoundaryProblem), "Phases have no tolerance"
@@ -210,18 +207,6 @@ def solve(
     if verbose:
         print(path)
     return path
-
-
-def _tolerance(problem: object, tol: float | None, cost_tol: float | None) -> float | None:
-    if isinstance(problem, Phases) and (tol, cost_tol) != (None, None):
-        raise ValueError(f"Phases are solved with a method and intervals, and no tolerance, got {tol or cost_tol!r}")
-    if cost_tol is None:
-        return None if tol is None else check_tolerance(tol)
-    if not isinstance(problem, ControlProblem):
-        raise ValueError(f"cost_tol is for a ControlProblem, the only one with a cost, got {cost_tol!r}")
-    if tol is not None:
-        raise ValueError(f"tol bounds the error of the cost, too: give tol={tol!r} or cost_tol={cost_tol!r}")
-    return check_tolerance(cost_tol, "cost_tol")
 
 
 def _graph(
@@ -339,7 +324,7 @@ def transcribe(
     check_method(method, optional=True)
     _check_limits(limits, tol)
     check_asked(of, tol)
-    tolerance = _tolerance(problem, tol, None)
+    tolerance = None if tol is None else check_tolerance(tol)
     if tolerance is None:
         return _graph(problem, method, intervals, mesh)
     if isinstance(problem, ControlProblem):

@@ -3,8 +3,8 @@
 Full thrust first, then just as much as the drag and the burning of fuel at that speed are worth, then none: on the way
 between, a singular arc, the best thrust is neither bound, and one that trembles about it reaches the same height.  The
 thrust found there changes from mesh to mesh; only its mean over an interval, which is drawn, means something.  The
-height is known to eight digits long before the path is to four: `cost_tol` asks for the cost alone, where `tol` asks
-for the path as well and is not met.
+height is known to eight digits long before the path is to four: `of` asks for the cost alone, where `tol` would
+ask for the path as well, and is not met.
 
 In the units of COPS 3 (E. D. Dolan, J. J. Moré, T. S. Munson, 2004): heights from the center of the Earth in its
 radius, masses in that of the rocket.  The published height is 1.01283; here are more digits, from finer meshes.
@@ -45,7 +45,7 @@ def problem():
 
 def main():
     """Solve to a tolerance of the height."""
-    return cg.solve(problem(), cost_tol=1e-6)
+    return cg.solve(problem(), tol=1e-6, of=lambda path: path.cost)
 
 
 def draw(path):

@@ -147,7 +147,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
             parts = partial(parts_wanted, indicator, 1)  # at a kink it falls in proportion to the step
             return Estimate(float(np.max(indicator)), False, source, parts)
         error = max(error, float(np.max(indicator)))
-        if error <= self.tol:
+        if error <= self.first_tol:
             agreed = agreement(graph, path, varied, refined)
             if agreed < REQUIRED_AGREEMENT:
                 graph.check_second_variation(level)

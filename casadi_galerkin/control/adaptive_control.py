@@ -95,7 +95,7 @@ class AdaptiveControlTranscription:
         problem = self.problem.varied({**ends, "parameters": parameters}, t_span)
         begun = self.first if guess is None else guess
         method, joints = first_control_discretization(problem, self.tol, *self._coarse, begun, self.limits)
-        refinement = ControlRefinement(problem, self.tol, False, method, self.limits, solver, verbose, self.of)
+        refinement = ControlRefinement(problem, self.tol, method, self.limits, solver, verbose, self.of)
         path = refinement.run(joints, begun, 1)
         self.first = self.first or path
         if verbose:

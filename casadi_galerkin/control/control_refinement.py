@@ -51,7 +51,7 @@ from casadi_galerkin.solvers.solver import Solver
 FIRST_INTERVALS = 8
 STARTS_TIME_FRACTION = 0.5  # part of the time limit after which no further start begins
 HARDLY_DETERMINED = (
-    "The cost hardly depends on the path: give a cost_tol in place of tol, add a small cost of the control, or leave "
+    "The cost hardly depends on the path: ask tol of=lambda path: path.cost, add a small cost of the control, or leave "
     "out a waypoint at a free time that asks for nothing"
 )
 
@@ -73,7 +73,7 @@ def fits_any_mesh(guess: Guess | None) -> bool:
 
 
 class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
-    """One refinement of a trajectory optimization to a tolerance: of all errors, or `of_cost` alone; see `solve`."""
+    """One refinement of a trajectory optimization to a tolerance, of all errors or of a quantity; see `solve`."""
 
     roundoff_level = 1e-9  # error that the solvers leave
     persistence = 15
@@ -89,7 +89,6 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         self,
         problem: ControlProblem,
         tol: float,
-        of_cost: bool,
         method: Galerkin,
         limits: Limits,
         solver: Solver,
@@ -100,7 +99,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         super().__init__(tol, method, self.problem.breakpoints, limits, verbose, of)
         if of is not None:  # it may be known long before the path
             self.first_tol = FAR_FROM_GUESS
-        self.of_cost, self.solver = of_cost, solver
+        self.solver = solver
 
     def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, float]:
         """The path of one level, and the violation that the solver has left."""
@@ -121,7 +120,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         path = with_parted_phases(level, self.stated)
         if path.error_estimate is not None:
             return path
-        return replace(path, cost_error=error) if self.of_cost else replace(path, error_estimate=error)
+        return replace(path, error_estimate=error)
 
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
         """Joints within the phases of a path, mapped to the phases of the problem."""
@@ -168,7 +167,9 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
             return Estimate(np.inf, False, "no answer of higher degree", None)
         cost, error = detail.errors
         self.known, self.cost_known = detail, min(self.cost_known, cost)
-        return Estimate(cost if self.of_cost else error, True, f"degree {detail.better.method.degree}", detail)
+        return Estimate(
+            error if self.of is None else detail.change, True, f"degree {detail.better.method.degree}", detail
+        )
 
     def better_mesh(self, level: ControlTrajectory, estimate: Estimate[TwoComparisons | None]) -> np.ndarray:
         """The mesh that the comparisons ask for or, where there are none, one twice as fine.
@@ -181,20 +182,18 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         self.check_meshes_help(detail)
         idle = len(self.stated.breakpoints) > len(self.breakpoints)
         joints = switch_times(detail.better) if idle else ()
-        # the cost may be of first order in the error of the path, as a duration is
-        tol = max(self.tol, detail.change * self.tol / detail.errors[0]) if self.of_cost else self.tol
         least = LEAST_PARTS if level is self.best[0] else 1.0  # after a level that came no nearer none are merged
-        return self.scaled(detail.mesh(tol, joints, least), detail.better)
+        return self.scaled(detail.mesh(self.tol, joints, least), detail.better)
 
     def check_meshes_help(self, detail: TwoComparisons) -> None:
         """Stop where no mesh reduces the error: that of a step, or the remaining solver error on two meshes."""
         least = max(self.tol, detail.change)
-        if detail.step_in_place ** (2 if self.of_cost else 1) > least:
+        if detail.step_in_place ** (1 if self.of is None else 2) > least:
             steps = detail.path.between_points.steps_in_place
             hint = f"At t = {steps.times[np.argmax(steps.sizes)]:.6g} {STEP}"
             raise self.stopped("no mesh takes away the error of a step", *self.best, hint)
         left = detail.path.solver_error
-        before, self.solver_error_prevails = self.solver_error_prevails, left > least and not self.of_cost
+        before, self.solver_error_prevails = self.solver_error_prevails, left > least and self.of is None
         if before and self.solver_error_prevails:
             raise self.stopped(
                 f"the remaining solver error of x is {left:.0e} of its size", *self.best, HARDLY_DETERMINED
@@ -219,7 +218,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
         """Report the error reached; where the cost alone is within `tol`, as with a singular arc, report that."""
         if self.cost_known <= self.tol and self.of is None:
-            words = f"the cost is known to {self.cost_known:.0e}, which is all that cost_tol asks for"
+            words = f"the cost is known to {self.cost_known:.0e}, which is all that of=lambda path: path.cost asks for"
             reason += f" (only the path changes: {words})"
         return super().stopped(reason, level, error, hint)
 

@@ -22,6 +22,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.path import of_parts
 from casadi_galerkin.solution.plotting import draw_bounds, draw_multipliers, panels, plot_path
+from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
 
@@ -185,6 +186,15 @@ class ControlTrajectory(Trajectory):
     @property
     def _finer(self) -> tuple[Trajectory, ...]:
         return self._comparisons.finer
+
+    def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray, float]:
+        """A quantity, its error and its size; those of the cost are known beside the two comparisons."""
+        value, change, size = super()._known(of)
+        if value.shape or value != self.cost:
+            return value, change, size
+        self.estimate_error()
+        assert self.cost_error is not None
+        return value, np.array(self.cost_error * self.cost_size), self.cost_size
 
     @property
     def _unseen_error(self) -> float:

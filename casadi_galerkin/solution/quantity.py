@@ -62,9 +62,9 @@ def largest_difference(of: Quantity, path: Solved, others: Iterable[Solved]) -> 
     return value, np.broadcast_to(changes, value.shape)
 
 
-def relative(change: np.ndarray, value: np.ndarray) -> float:
-    """The largest change of the entries of a quantity over the size of the largest; absolute where that is zero."""
-    return float(np.max(change) / (np.max(np.abs(value)) or 1.0))
+def size_of(value: np.ndarray) -> float:
+    """The size of a quantity, to which its error is relative: that of its largest entry, one where that is zero."""
+    return float(np.max(np.abs(value))) or 1.0
 
 
 def _moved(path: Any) -> Any:

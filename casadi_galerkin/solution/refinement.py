@@ -63,8 +63,8 @@ class Refinement(ABC, Generic[Level, Detail]):
     """The state of one refinement to a tolerance, of x or of a quantity `of` the path.
 
     A quantity is asked for where x is known to a loose tolerance.  Where it is not within its own, that of x is
-    tightened: as if the errors e of x and a of the quantity were related by a power that is at least one, a ~ e^q or
-    a ~ e.
+    tightened: as if the errors e of x and a of the quantity were related by a ~ e or by a power, a = e^q, whichever is
+    looser, and to its own tolerance at first.
 
     Attributes
     ----------
@@ -190,7 +190,7 @@ class Refinement(ABC, Generic[Level, Detail]):
             return np.inf
         if self.of is None:
             return estimate.error
-        if estimate.error > self.tol:
+        if estimate.error > self.first_tol:
             return np.inf
         path = self.trajectory(level, estimate).asked_for(self.of)
         error = path.asked_error or 0.0
@@ -198,7 +198,8 @@ class Refinement(ABC, Generic[Level, Detail]):
             self.asked = path
         if error > self.goal:
             power = math.log(self.goal) / math.log(error) if error < 1 else 1.0
-            self.tol = min(estimate.error / 2, max(estimate.error * self.goal / error, estimate.error**power))
+            needed = max(self.goal, estimate.error / error * self.goal, estimate.error**power)
+            self.tol = min(estimate.error / 2, needed)
         return error
 
     def check_mesh(self, mesh: np.ndarray, estimate: Estimate[Detail]) -> None:

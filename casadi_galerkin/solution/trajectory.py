@@ -27,7 +27,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import animate_linkage, plot_plane
-from casadi_galerkin.solution.quantity import Quantity, check_quantity, largest_difference, quantity, relative
+from casadi_galerkin.solution.quantity import Quantity, check_quantity, largest_difference, quantity, size_of
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -159,9 +159,9 @@ class Trajectory(Path):
 
     def asked_for(self, of: Quantity) -> Trajectory:
         """The path with a quantity `asked`, and its error."""
-        value, change = self._known(of)
+        value, change, size = self._known(of)
         asked = value if value.ndim else value.item()
-        return self.amended(asked=asked, asked_error=relative(change, value))
+        return self.amended(asked=asked, asked_error=float(np.max(change)) / (size or 1.0))
 
     def amended(self: Answer, **changes: Any) -> Answer:
         """The same path with another report, and all that has been computed of it."""
@@ -169,16 +169,17 @@ class Trajectory(Path):
         path.__dict__.update((name, kept) for name, kept in vars(self).items() if name not in path.__dict__)
         return path
 
-    def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray]:
-        """A quantity, and its error as `error_of` has it."""
+    def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray, float]:
+        """A quantity, its error as `error_of` has it, and its size."""
         check_quantity(of)
         try:
             finer = self._finer
         except ConvergenceError:
             value = quantity(of, self)
-            return value, np.full(value.shape, np.inf)
+            return value, np.full(value.shape, np.inf), size_of(value)
         value, change = largest_difference(of, self, finer)
-        return value, np.maximum(self.comparison_factor * change, self._unseen_error * np.max(np.abs(value)))
+        size = size_of(value)
+        return value, np.maximum(self.comparison_factor * change, self._unseen_error * size), size
 
     @property
     def _unseen_error(self) -> float:

@@ -30,7 +30,7 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import LimitReached
 from casadi_galerkin.solution.guess import check_finite_values, sampled
 from casadi_galerkin.solution.path import DRAWN_TIMES
-from casadi_galerkin.solution.quantity import Quantity, quantity, relative
+from casadi_galerkin.solution.quantity import Quantity, quantity, size_of
 from casadi_galerkin.solution.trajectory import Trajectory
 
 TIGHT, TIGHT_OPTIMUM = 1e-12, 1e-8  # tolerances of references, the latter of optimizations
@@ -96,7 +96,7 @@ class ReferenceSolution:
         path_error = float(max(joint_error, between_error, np.max(np.abs(lasted - lasting)) / (own[-1] - own[0])))
         error = path_error
         if self._of is not None:
-            error = relative(np.abs(quantity(self._of, path) - self._quantity), self._quantity)
+            error = float(np.max(np.abs(quantity(self._of, path) - self._quantity))) / size_of(self._quantity)
         return {
             "error": error,
             "path_error": path_error,

@@ -397,7 +397,7 @@ class Outcome:
 
 
 def outcome(case, verbose=0, **tolerance):
-    """Solve a problem to a tolerance, `tol` or `cost_tol`; the estimate is that of the error which this one bounds."""
+    """Solve a problem to a tolerance, of the path or of the cost; the estimate is that of the error which it bounds."""
     began, said = time.perf_counter(), ""
     try:
         path = cg.solve(case.problem, **tolerance, guess=case.guess, limits=cg.Limits(seconds=SECONDS), verbose=verbose)
@@ -405,7 +405,7 @@ def outcome(case, verbose=0, **tolerance):
         path, said = failure.path, str(failure)
     seconds = time.perf_counter() - began
     error = abs(path.cost / case.exact - 1)
-    estimate = path.error_estimate if "tol" in tolerance else path.cost_error
+    estimate = path.cost_error if "of" in tolerance else path.error_estimate
     return Outcome(path.cost, estimate, error, len(path.t) - 1, seconds, said)
 
 
@@ -416,7 +416,7 @@ def main(names=(), tols=(1e-6,), path=False, verbose=0):
     for name in names or CASES:
         case = CASES[name]()
         for tol in tols:
-            one = outcome(case, verbose, **{"tol" if path else "cost_tol": tol})
+            one = outcome(case, verbose, tol=tol, **({} if path else {"of": lambda path: path.cost}))
             outcomes.append(one)
             print(f"{name:17}{tol:8.0e}{one.cost:18.10f}{case.published:12.6f}{one.error:9.1e}{one.estimate:9.1e}"
                   f"{one.intervals:10d}{one.seconds:7.2f} {one.said[:100]}", flush=True)  # fmt: skip

@@ -163,7 +163,9 @@ def test_what_is_spent_of_nothing_is_zero(count):
 
 
 @pytest.mark.parametrize("size", [1e-13, *slow(1e-15)])
-@pytest.mark.parametrize("options", [{"method": cg.Galerkin(4), "intervals": 50}, {"cost_tol": 1e-6}])
+@pytest.mark.parametrize(
+    "options", [{"method": cg.Galerkin(4), "intervals": 50}, {"tol": 1e-6, "of": lambda path: path.cost}]
+)
 def test_a_component_too_small_for_the_solver_is_not_taken_for_zero(size, options):
     """It is to go from zero to its size, at a cost of 1/2; the solver takes zero for an answer."""
     far = first_order(

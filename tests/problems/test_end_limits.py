@@ -27,7 +27,8 @@ def rewarded(**changes):
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop])
 @pytest.mark.parametrize(
-    "options", [{"method": cg.Galerkin(3), "intervals": 5}, *slow({"tol": 1e-6}, {"cost_tol": 1e-6})]
+    "options",
+    [{"method": cg.Galerkin(3), "intervals": 5}, *slow({"tol": 1e-6}, {"tol": 1e-6, "of": lambda path: path.cost})],
 )
 def test_a_speed_that_is_rewarded_keeps_to_its_limit(options, solver):
     path = cg.solve(rewarded(), **options, solver=solver)

@@ -218,7 +218,7 @@ def test_a_mesh_that_misses_the_layers_is_told():
         running_cost=lambda t, x, v, u: (x**2 + u**2) / 2,
     )
     assert "NOT RESOLVED" in repr(cg.solve(layers, cg.Galerkin(3), 10))
-    assert "NOT RESOLVED" not in repr(cg.solve(layers, cost_tol=1e-3))
+    assert "NOT RESOLVED" not in repr(cg.solve(layers, tol=1e-3, of=lambda path: path.cost))
 
 
 @pytest.mark.parametrize("intervals", [1, 4])
