@@ -28,8 +28,8 @@ from casadi_galerkin.calculus.quadrature import midpoint as midpoint
 from casadi_galerkin.calculus.quadrature import radau as radau
 from casadi_galerkin.calculus.quadrature import trapezoid as trapezoid
 from casadi_galerkin.control.adaptive_control import AdaptiveControlTranscription as AdaptiveControlTranscription
+from casadi_galerkin.control.control_sensitivity import ControlSensitivity as ControlSensitivity
 from casadi_galerkin.control.control_transcription import ControlTranscription as ControlTranscription
-from casadi_galerkin.control.sensitivity import ControlSensitivity as ControlSensitivity
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem as BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem as ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem as InitialProblem

@@ -18,8 +18,8 @@ from casadi_galerkin.calculus.numbers import check_verbose, whole
 from casadi_galerkin.control.adaptive_control import AdaptiveControlTranscription
 from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.control_refinement import ControlRefinement, first_control_discretization
+from casadi_galerkin.control.control_sensitivity import ControlSensitivity
 from casadi_galerkin.control.control_transcription import ControlTranscription, check_solver, transcribed_control
-from casadi_galerkin.control.sensitivity import ControlSensitivity
 from casadi_galerkin.control.starts import best_of
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one

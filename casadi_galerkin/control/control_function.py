@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.control_graph import ControlGraph
 from casadi_galerkin.control.control_numbering import Numbering
+from casadi_galerkin.control.control_sensitivity import OptimalityConditions, units_of
 from casadi_galerkin.control.control_transcription import transcribed_control
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION
 from casadi_galerkin.control.program_bounds import bounds_of, equation_scales, given_at_ends
-from casadi_galerkin.control.sensitivity import OptimalityConditions, units_of
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.guess import Guess

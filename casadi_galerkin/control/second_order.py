@@ -29,8 +29,8 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
 from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph, graph_of
 from casadi_galerkin.control.control_numbering import Numbering
+from casadi_galerkin.control.control_sensitivity import ControlSensitivity, sensitivity_of
 from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
-from casadi_galerkin.control.sensitivity import ControlSensitivity, sensitivity_of
 from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF

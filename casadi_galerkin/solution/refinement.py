@@ -63,8 +63,7 @@ class Refinement(ABC, Generic[Level, Detail]):
     """The state of one refinement to a tolerance, of x or of a quantity `of` the path.
 
     A quantity is asked for where x is known to a loose tolerance.  Where it is not within its own, that of x is
-    tightened: as if the errors e of x and a of the quantity were related by a ~ e or by a power, a = e^q, whichever is
-    looser, and to its own tolerance at first.
+    tightened in proportion, as if the two errors fell alike, but not below its own tolerance at first.
 
     Attributes
     ----------
@@ -197,9 +196,7 @@ class Refinement(ABC, Generic[Level, Detail]):
         if self.asked is None or error < (self.asked.asked_error or 0.0):
             self.asked = path
         if error > self.goal:
-            power = math.log(self.goal) / math.log(error) if error < 1 else 1.0
-            needed = max(self.goal, estimate.error / error * self.goal, estimate.error**power)
-            self.tol = min(estimate.error / 2, needed)
+            self.tol = min(estimate.error / 2, max(self.goal, estimate.error / error * self.goal))
         return error
 
     def check_mesh(self, mesh: np.ndarray, estimate: Estimate[Detail]) -> None:
