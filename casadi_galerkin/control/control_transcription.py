@@ -28,8 +28,25 @@ from casadi_galerkin.control.control_answer import OptimalPoint, answer
 from casadi_galerkin.control.control_graph import graph_of, meshes_of, phases_of
 from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
 from casadi_galerkin.control.initial_guess import first_values, guesses_of_phases, near_answer
-from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt, with_sqp
-from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, equation_scales, violations
+from casadi_galerkin.control.optimizer import (
+    BOUND_RELAXATION,
+    TOLERANCE,
+    Optimum,
+    newton,
+    newton_step,
+    optimize,
+    with_fatrop,
+    with_ipopt,
+    with_sqp,
+)
+from casadi_galerkin.control.program_bounds import (
+    ProgramBounds,
+    bounds_of,
+    check_count,
+    check_stages,
+    equation_scales,
+    violations,
+)
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import LONGER_DURATION, first_found
 from casadi_galerkin.control.two_comparisons import compared, from_near, phases_compared
@@ -117,7 +134,7 @@ class ControlTranscription:
         self.numbering, self.joins = self.graph.numbering, self.graph.joins
         self.bounds = bounds_of(self.phases, self.joins, self.numbering)
         check_count(self.numbering, self.bounds)
-        self._solvers: dict[str, ObjectPool[Evaluator]] = {}
+        self._solvers: dict[str, Any] = {}
         self.build_seconds = time.perf_counter() - began
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -238,8 +255,10 @@ class ControlTranscription:
         numbers, phases = self.numbering, phases_of(problem)
         bounds = self.bounds if problem is self.problem else bounds_of(phases, self.joins, numbers)
         unknowns, data = numbers.pack(start.values)
-        program = self._kept_program(solver, bool(start.duals), verbose)
-        optimum = optimize(program, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
+        optimum, name = self._newton(unknowns, data, bounds), "Newton"
+        if optimum is None:
+            program, name = self._kept_program(solver, bool(start.duals), verbose), SOLVER_NAMES[solver.name]
+            optimum = optimize(program, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
         if optimum.status == INVALID:
             refuse_not_finite(phases, self.graph, unknowns, data)
         values, meshes = numbers.unpack(optimum.unknowns, data), meshes_of(phases, calculus.mesh)
@@ -253,7 +272,7 @@ class ControlTranscription:
         relative = violations(numbers, bounds, optimum.unknowns, report.equations, scales)
         violation = float(np.max(relative))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
-            raise explained(phases, SOLVER_NAMES[solver.name], numbers, optimum, report.cost, relative, paths)
+            raise explained(phases, name, numbers, optimum, report.cost, relative, paths)
         second_order = SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, self.graph)
         return answer(
             problem,
@@ -263,7 +282,7 @@ class ControlTranscription:
             iterations=optimum.iterations,
             residual=violation / EPS,
             violation=violation,
-            solver=f"{SOLVER_NAMES[solver.name]} ({optimum.status})",
+            solver=f"{name} ({optimum.status})",
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
@@ -338,6 +357,15 @@ class ControlTranscription:
         if solver.name == sqp.name:
             return with_sqp(self.graph, verbose, solver.options)
         return with_ipopt(self.graph, warm, verbose, solver.options)
+
+    def _newton(self, unknowns: np.ndarray, data: np.ndarray, bounds: ProgramBounds) -> Optimum | None:
+        """The answer where nothing costs and nothing is to be chosen, as Newton's method finds it; or None."""
+        if "newton" not in self._solvers:
+            costs = self.joins.cost is not None or any(phase.costs for phase in self.phases)
+            program = None if costs else newton_step(self.graph, self.bounds)
+            self._solvers["newton"] = None if program is None else ObjectPool(lambda: Evaluator(program))
+        solver = self._solvers["newton"]
+        return None if solver is None else newton(solver, self.numbering.unknown_kinds, unknowns, data, bounds)
 
     def _kept_program(self, solver: Solver, warm: bool, verbose: int) -> ObjectPool[Evaluator]:
         """The solver for this program, built when it is first needed; with limited time, for this solve only."""

@@ -13,11 +13,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
 from casadi_galerkin.control.control_graph import ControlGraph
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.problems.bounds import FEASIBLE
-from casadi_galerkin.solvers.deadline import limited
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF
+from casadi_galerkin.solvers.deadline import limited, seconds_left
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; with an unbounded cost the iteration does not end
 TOLERANCE = 1e-12  # for IPOPT's scaled optimality error; with 1e-10 errors of the cost of 3e-9 were seen
@@ -163,3 +165,54 @@ def optimize(
     unknowns = np.where(low == high, low, x)  # in fatrop given values are equations
     ended = bool(stats["success"]), status, int(stats["iter_count"])
     return Optimum(data, bounds, unknowns, of_equations, of_bounds, *ended)
+
+
+def newton_step(graph: ControlGraph, bounds: ProgramBounds) -> ca.Function | None:
+    """Build Newton's step where as many equations as unknowns leave nothing to choose; else None.
+
+    A Function of the point of the derivatives, the point of the equations, data and right-hand sides: the step of the
+    free unknowns by which the linearized equations are solved.
+    """
+    free, rows = (np.flatnonzero(a) for a in (np.less(*bounds.unknowns), np.equal(*bounds.equations)))
+    if len(free) != len(rows):
+        return None
+    at, point = ca.MX.sym("at", graph.unknowns.numel()), ca.MX.sym("point", graph.unknowns.numel())
+    wanted = ca.MX.sym("wanted", len(rows))
+    slopes = graph.jacobian(at, graph.data)[1][rows.tolist(), free.tolist()]
+    missed = graph.jacobian(point, graph.data)[0][rows.tolist()] - wanted
+    step = -ca.solve(slopes, missed, "qr", NO_CUTOFF)
+    return ca.Function("newton_step", [at, point, graph.data, wanted], [step])
+
+
+def newton(
+    solver: ObjectPool[Evaluator], kinds: np.ndarray, guess: np.ndarray, data: np.ndarray, bounds: ProgramBounds
+) -> Optimum | None:
+    """The point at which all equations hold, by Newton's method with natural monotonicity, or None where it is lost.
+
+    See `solvers.newton`.  Steps are relative to the largest value of their kind.
+    """
+    (low, high), rows = bounds.unknowns, np.equal(*bounds.equations)
+    free, unknowns, wanted = low < high, np.where(low < high, guess, low), bounds.equations[0][rows]
+    iteration = 0
+    with solver.lend() as run:
+
+        def step_at(at: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, float]:
+            (step,) = run(at, point, data, wanted)
+            moved = np.zeros(len(at))
+            moved[free] = step.ravel()
+            return moved, float(np.max(np.abs(moved) / or_one(largest_of(np.abs(unknowns), kinds))[kinds]))
+
+        while iteration < ITERATION_LIMIT and seconds_left() > 0:
+            iteration, damping = iteration + 1, 1.0
+            step, size = step_at(unknowns, unknowns)
+            simplified, next_size = step_at(unknowns, unknowns + step)
+            if size * next_size <= EPS:  # the next but one would be rounding
+                found, zeros = unknowns + step + simplified, np.zeros(len(rows))
+                return Optimum(data, bounds, found, zeros, np.zeros(len(found)), True, "Solve Succeeded", iteration)
+            while not next_size <= (1 - damping / 4) * size:
+                damping /= 2
+                if not damping > np.sqrt(EPS):
+                    return None
+                _, next_size = step_at(unknowns, unknowns + damping * step)
+            unknowns = unknowns + damping * step
+    return None

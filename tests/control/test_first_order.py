@@ -51,6 +51,34 @@ def test_errors_of_the_benchmark_are_at_most_what_is_said(name):
     assert error <= path.error_estimate <= 1e-6
 
 
+def test_blasius_layer_is_found_by_newtons_method_from_a_line():
+    """IPOPT is caught in a least violation there; f''(0) to sixteen digits: J. P. Boyd, SIAM Review 50 (2008)."""
+    layer = cg.ControlProblem(
+        rates=lambda t, x, v: [x[1], x[2], -x[0] * x[2] / 2], t_span=(0, 12), start=[0, 0, None], end=[None, 1, None]
+    )
+    path = cg.solve(layer, cg.Galerkin(8), 12)
+    assert path.x[2, 0] == pytest.approx(0.33205733621519630, abs=1e-9)
+    assert path.solver.startswith("Newton")
+
+
+def test_where_newtons_method_is_lost_it_is_ipopt_that_finds_or_says_so():
+    """No swing from below is so fast that it is at 1 after three seconds, but for one that goes back first."""
+    motor = {
+        "lagrangian": lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]),
+        "t_span": (0.0, 3.0),
+        "start": [0.0, 0.0],
+        "end": [1.0, None],
+        "force": lambda t, x, v: x[1],
+        "rates": lambda t, x, v: 1 - x[1] - v[0],
+    }
+    with pytest.raises(cg.ConvergenceError, match="IPOPT stopped with 'Infeasible Problem Detected'"):
+        cg.solve(cg.ControlProblem(**motor), cg.Galerkin(4), 8)
+    back = cg.solve(
+        cg.ControlProblem(**motor), cg.Galerkin(4), 8, guess=lambda t: [t / 3 - 2 * np.sin(np.pi * t / 3), 0.5]
+    )
+    assert -2.5 < back.start_velocity[0] < -2.0
+
+
 def test_gauss_points_make_it_the_mechanical_path():
     """Both are Gauss collocation, of Hamilton's equations and of those that are stated."""
     mechanical = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.exp(x[0]), (0, 1), 0.0, 0.0)
