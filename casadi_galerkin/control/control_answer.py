@@ -20,7 +20,7 @@ from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.legendre_transform import momentum_at
-from casadi_galerkin.problems.phases import Joins, Phases, sections
+from casadi_galerkin.problems.phases import CONTINUITY, Joins, Phases
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -61,7 +61,8 @@ def answer(
     bound_multipliers = point.optimum.bound_multipliers
     whole = {**solve, "cost_size": report.cost_size, "duals": (multipliers, bound_multipliers)}
     hamiltonians = np.split(report.hamiltonian, np.cumsum([chain.intervals for chain in numbers.chains])[:-1])
-    links = {after + 1: f"join {i}" for i, after in enumerate(point.joins.after) if point.joins.of_positions[i]}
+    words = CONTINUITY.format("x")
+    links = {join.after + 1: f"join {i}" for i, join in enumerate(point.joins.each) if join.words == words}
     found = list[ControlTrajectory]()
     for k, (phase, chain, values, path) in enumerate(
         zip(phases, numbers.chains, point.values, point.paths, strict=True)
@@ -77,7 +78,7 @@ def answer(
             (undefined(phase, path, control, parameters), math.inf),
         ):
             if reason is not None:
-                where = f"of phase {k} " if isinstance(problem, Phases) else ""
+                where = "" if numbers.alike else f"of phase {k} "
                 raise ConvergenceError(f"no path {where}was found: {reason}", Path(path), residual, solve["iterations"])
         momentum = np.zeros((chain.dimension, len(joints)))
         momentum[:mechanical] = (values["momentum"] * values["sizes"]).T
@@ -104,14 +105,13 @@ def answer(
                 hamiltonian=hamiltonians[k],
                 start_velocity=np.append(values["start_velocity"], rates[0]),
                 end_velocity=np.append(values["end_velocity"], rates[1]),
-                arrival_velocity=np.zeros((0, mechanical)),
                 **whole,
             )
         )
     if isinstance(problem, Phases):
         solved_phases = problem.found([one.problem for one in found])
         return PhasesTrajectory(phases=tuple(found), problem=solved_phases, cost=report.cost, **whole)
-    return found[0] if len(found) == 1 else _in_one(problem, found, report.cost, second_order)
+    return found[0] if len(found) == 1 else _in_one(problem, phases, found, report.cost, second_order)
 
 
 @lru_cache(8)
@@ -132,56 +132,47 @@ def _path_multipliers(chain: Chain, multipliers: np.ndarray, joints: np.ndarray)
 
 
 def _in_one(
-    problem: ControlProblem, parts: list[ControlTrajectory], cost: float, second_order: SecondOrder
+    problem: ControlProblem,
+    phases: Sequence[ControlProblem],
+    parts: list[ControlTrajectory],
+    cost: float,
+    second_order: SecondOrder,
 ) -> ControlTrajectory:
     """The phases into which one problem was parted as its answer."""
-    first, last = parts[0], parts[-1]
-    marks, laws = [part.problem.t_span[1] for part in parts[:-1]], dict(problem.jumps)
-    stated = [part.t_span[1] for part in sections(problem)[:-1]]
-    t = np.append(np.concatenate([part.t[:-1] for part in parts]), last.t[-1])
-    moved = dict(zip(stated, marks, strict=True))
-    breakpoints = tuple(moved.get(time, time) for time in problem.breakpoints)
-    polynomials = [part.polynomial for part in parts]
-    arrived = [
-        p.end_velocity for p, when in zip(parts, stated, strict=False) if when in {c.time for c in problem.crossings}
-    ]
+    first, last, laws = parts[0], parts[-1], dict(problem.jumps)
+    breakpoints = tuple(t for part in parts for t in (*part.problem.breakpoints, part.problem.t_span[1]))[:-1]
+    span = first.problem.t_span[0], last.problem.t_span[1]
     limits = [part.path_multipliers for part in parts if part.path_multipliers is not None]
     return replace(
         first,
-        polynomial=connected(polynomials, [when in laws for when in stated]),
+        polynomial=_connected([part.polynomial for part in parts], [phase.t_span[1] in laws for phase in phases]),
         momentum=np.hstack([*(part.momentum[:, :-1] for part in parts[:-1]), last.momentum]),
         action=sum(part.action for part in parts),
-        problem=problem.found((t[0].item(), t[-1].item()), first.parameters, breakpoints),
+        problem=problem.found(span, first.parameters, breakpoints),
         find_remaining_error=second_order.remaining_error,
         cost=cost,
-        control=_one_after_the_other([part.control for part in parts], t),
-        costate=connected([part.costate for part in parts], [True] * len(marks)),
-        path_multipliers=_one_after_the_other(limits, t) if limits else None,
+        control=_one_after_the_other([part.control for part in parts]),
+        costate=_connected([part.costate for part in parts], [True] * len(parts)),
+        path_multipliers=_one_after_the_other(limits) if limits else None,
         hamiltonian=np.concatenate([part.hamiltonian for part in parts]),
         end_velocity=last.end_velocity,
-        arrival_velocity=np.reshape([v[: problem.mechanical] for v in arrived], (len(arrived), problem.mechanical)),
         parts=tuple(parts),
     )
 
 
-def _one_after_the_other(parts: list[ControlPath], mesh: np.ndarray) -> ControlPath:
-    return ControlPath(
-        mesh, parts[0].points, np.hstack([part.values for part in parts]), parts[0].rule, parts[0].bounds
-    )
+def _one_after_the_other(parts: list[ControlPath]) -> ControlPath:
+    first, values = parts[0], np.hstack([part.values for part in parts])
+    mesh = np.append(np.concatenate([part.mesh[:-1] for part in parts]), parts[-1].mesh[-1])
+    return ControlPath(mesh, first.points, values, first.rule, first.bounds)
 
 
-def connected(parts: Sequence[PiecewisePolynomial], jumping: Sequence[bool]) -> PiecewisePolynomial:
-    """Paths one after the other as one, which may jump from some to the next."""
-    last, joints = parts[-1], np.cumsum([len(part.mesh) - 1 for part in parts])[:-1]
-    mesh, values = (
-        np.concatenate([*(a[..., :-1] for a in some[:-1]), some[-1]], axis=-1)
-        for some in ([part.mesh for part in parts], [part.values for part in parts])
-    )
-    arrivals = values[:, last.degree :: last.degree].copy()
-    local = np.concatenate([part.local[:, :, -1] for part in parts], axis=1)
-    stays = np.ones(len(mesh) - 1, dtype=bool)
-    stays[joints[~np.array(jumping, dtype=bool)] - 1] = False
-    arrivals[:, stays] = local[:, stays]
-    return PiecewisePolynomial(
-        mesh, last.nodes, values, arrivals if np.any(arrivals != values[:, last.degree :: last.degree]) else None
-    )
+def _connected(parts: Sequence[PiecewisePolynomial], jumping: Sequence[bool]) -> PiecewisePolynomial:
+    """Paths one after the other as one, which may jump at the ends of some."""
+    last = parts[-1]
+    mesh = np.append(np.concatenate([part.mesh[:-1] for part in parts]), last.mesh[-1])
+    values = np.hstack([*(part.values[:, :-1] for part in parts[:-1]), last.values])
+    arrivals = np.hstack([part.local[:, :, -1] for part in parts])
+    for joint, jumps in zip(np.cumsum([len(part.mesh) - 1 for part in parts]).tolist(), jumping, strict=True):
+        if not jumps:
+            arrivals[:, joint - 1] = values[:, joint * last.degree]
+    return PiecewisePolynomial(mesh, last.nodes, values, arrivals)

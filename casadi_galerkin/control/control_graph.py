@@ -29,7 +29,7 @@ from casadi_galerkin.control.control_terms import Places, all_places
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.phases import Joins, Phases, joined_sections, sections
+from casadi_galerkin.problems.phases import Joins, Phases, joined_sections, sections, times_free
 
 ROUNDOFF_ONLY = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
 # part of the cost of a change as large as the path itself above which the cost measures its own errors: the cost of a
@@ -264,12 +264,12 @@ def graph_of(
     """Build the Functions of a program."""
     phases, several = phases_of(problem), isinstance(problem, Phases)
     joins = problem.joins if isinstance(problem, Phases) else joined_sections(problem, phases)
-    free = len(phases) > 1 and any(phase.duration_bounds is not None for phase in phases)
+    free = len(phases) > 1 and times_free(phases)
     chains = [Chain(phase, method, one, free) for phase, one in zip(phases, meshes_of(phases, mesh), strict=True)]
-    cuts = np.cumsum([len(chain.unknown_stages) for chain in chains])
+    ends = np.cumsum([len(chain.unknown_stages) for chain in chains])
     fields = [
-        Field(f"join {i}", words, f"join {i}", range(count), float(cuts[after] - 1 - cuts[-1]))
-        for i, (words, after, count) in enumerate(zip(joins.words, joins.after, joins.counts, strict=True))
+        Field(f"join {i}", join.words, f"join {i}", range(join.rows), float(ends[join.after] - 1 - ends[-1]))
+        for i, join in enumerate(joins.each)
     ]
     return ControlGraph(phases, joins, Numbering(chains, fields, not several), mapping)
 

@@ -65,7 +65,7 @@ from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt, sqp
 
 LARGEST_TERMS_RATIO = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
-LEAST_TERMS = 1e-5  # part of the largest terms on the straight line below which those of a component do not count
+LEAST_TERMS = np.sqrt(EPS)  # part of the largest terms on the straight line below which those of a component are none
 SHORTEST_STEP = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
 SOLVER_NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop", sqp.name: "SQP"}
 

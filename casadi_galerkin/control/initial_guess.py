@@ -7,6 +7,7 @@ from functools import partial
 from itertools import pairwise, takewhile
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
@@ -135,11 +136,14 @@ def _lines(problem: Phases) -> list[Any]:
     These are looked for in phases with as many components; without any, the path stays where it is.
     """
     lines, phases = list[Any](), problem.phases
-    reached: np.ndarray | None = None
+    reached = np.zeros(0)
     for k, phase in enumerate(phases):
         first, low_or_middle = phase.given_positions[0], _zero_or_middle(*phase.position_bounds)
-        known = problem.joins.after_link(k, reached) if reached is not None else None
-        first = np.where(np.isnan(first), low_or_middle if known is None else known, first)
+        law, known = problem.links[k - 1] if k else None, reached if k else low_or_middle
+        if isinstance(law, ca.Function):
+            p = [np.array(phases[k - 1].parameters)] * (law.n_in() - 2)
+            known = law(reached, np.zeros(len(reached)), *p)[0].full().ravel()
+        first = np.where(np.isnan(first), low_or_middle if len(known) != len(first) else known, first)
         target, when = np.full(phase.dimension, np.nan), np.full(phase.dimension, np.inf)
         for later in takewhile(partial(_alike, phase), phases[k:]):
             for place, t in zip(later.given_positions, later.t_span, strict=True):

@@ -57,13 +57,14 @@ def bounds_of(
     sides, equations = np.full((2, numbering.size), [[-np.inf], [np.inf]]), np.zeros((2, numbering.equations))
     for k, (problem, chain) in enumerate(zip(phases, numbering.chains, strict=True)):
         _bound_phase(sides, equations, problem, chain)
-        if k == 0 and "begin" in chain.free:
-            _limit(sides, chain.fields["begin"][-1], problem.initial_time_bounds or [problem.t_span[:1]] * 2)
+        if "begin" in chain.free:
+            given = (-np.inf, np.inf) if k else (problem.t_span[0],) * 2
+            _limit(sides, chain.fields["begin"][-1], problem.initial_time_bounds or given)
         for i, (rows, satisfied) in enumerate(_constraint_at_ends(problem, chain)):
             goes_on = k > 0 and i < 2 and phases[k - 1].constraint is not None
             free = np.where((satisfied | goes_on) & (not implied), np.inf, 0.0)
             _limit(equations, rows, (-free, free))
-    _limit(equations, slice(numbering.equations - sum(joins.counts), None), joins.conditions[1:])
+    _limit(equations, slice(numbering.equations - len(joins.conditions[1]), None), joins.conditions[1:])
     return ProgramBounds(sides[:, : numbering.unknowns], equations)
 
 

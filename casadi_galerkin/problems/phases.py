@@ -24,6 +24,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import entries_of, rows_that_depend
 from casadi_galerkin.problems.problem import with_values
 
+CONTINUITY = "the continuity of {}[{{}}]"  # of x and v
 NOTHING = ca.Function("joins", [], [ca.SX(0, 1)])
 Link: TypeAlias = Traceable | tuple[Traceable, Limit, Limit] | None
 
@@ -40,24 +41,21 @@ class PhaseEnds(NamedTuple):
     p: Any
 
 
-@dataclass(frozen=True)
-class Join:
+class Join(NamedTuple):
     """Equations or inequalities that join phases.
 
     Attributes
     ----------
     words : what messages call a row, with its number in place of {}
     after : the phase at whose end messages say it is
-    rows : SX expressions
-    sides : their bounds
-    of_positions : whether the rows are what x is at the start of the next phase, less what it should be
+    rows : SX expressions, later their number
+    sides : their bounds; zeros by default
     """
 
     words: str
     after: int
-    rows: ca.SX
-    sides: Sequence[tuple[float, ...]]
-    of_positions: bool = False
+    rows: Any
+    sides: Sequence[tuple[float, ...]] | None = None
 
 
 @dataclass(frozen=True)
@@ -66,28 +64,14 @@ class Joins:
 
     Attributes
     ----------
-    words, after, of_positions, counts : as those of every `Join`, and the number of its rows
+    each : every `Join`, with the number of its rows
     conditions : (g, lo, hi) of all rows
     cost : Function, or None
     """
 
-    words: tuple[str, ...] = ()
-    after: tuple[int, ...] = ()
-    of_positions: tuple[bool, ...] = ()
-    counts: tuple[int, ...] = ()
+    each: tuple[Join, ...] = ()
     conditions: Limited = (NOTHING, (), ())
     cost: ca.Function | None = None
-
-    def after_link(self, k: int, position: np.ndarray) -> np.ndarray | None:
-        """Where phase k begins by its link from a position at rest before it, or None where no law says so."""
-        g, which = self.conditions[0], [after == k - 1 for after in self.after]
-        chosen = [i for i, ours in enumerate(which) if ours and self.of_positions[i]]
-        if not chosen:
-            return None
-        given = [np.zeros(g.size1_in(i)) for i in range(g.n_in())]
-        given[7 * (k - 1) + 4] = position
-        first = sum(self.counts[: chosen[0]])
-        return -np.array(g(*given)).ravel()[first : first + self.counts[chosen[0]]]
 
 
 def _sizes(phases: Sequence[ControlProblem]) -> dict[str, int]:
@@ -106,71 +90,63 @@ def _ends(flat: Sequence[Any]) -> list[PhaseEnds]:
     return [PhaseEnds(*flat[k : k + width]) for k in range(0, len(flat), width)]
 
 
-def joined(
+def times_free(phases: Sequence[ControlProblem]) -> bool:
+    """Whether phases begin at times that are unknown."""
+    return any((phase.duration_bounds or phase.initial_time_bounds) is not None for phase in phases)
+
+
+def _joined(
     phases: Sequence[ControlProblem],
-    make: Callable[[list[PhaseEnds]], list[Join]],
+    links: Sequence[ca.Function | Limited | None],
+    others: Callable[[list[PhaseEnds]], list[Join]],
     cost: ca.Function | None = None,
 ) -> Joins:
-    """What `make` says that joins phases, with times that follow one another where one of them is free."""
+    """What links each phase to the next, by a law, by conditions or by continuity, and what others say."""
     sizes = _sizes(phases)
     symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
     ends, joins = _ends(symbols), list[Join]()
-    if any(phase.duration_bounds is not None for phase in phases):
-        for k, (one, other) in enumerate(pairwise(ends)):
-            joins.append(Join(f"the time at which phase {k + 1} begins", k, other.t0 - one.t1, ((0.0,), (0.0,))))
-    joins = [join for join in [*joins, *make(ends)] if join.rows.numel()]
+    for k, ((before, after), link, phase) in enumerate(zip(pairwise(ends), links, phases, strict=False)):
+        p = [] if phase.parameters is None else [before.p]
+        if times_free(phases):
+            joins.append(Join(f"the time at which phase {k + 1} begins", k, after.t0 - before.t1))
+        if isinstance(link, tuple):
+            rows = link[0](before.x1, before.v1, after.x0, after.v0, *p)
+            joins.append(Join(f"condition {{}} of link {k}", k, rows, link[1:]))
+        else:
+            x, v = (before.x1, before.v1) if link is None else link(before.x1, before.v1, *p)
+            gaps = {"x": after.x0 - x, "v": (after.v0 - v)[: phases[k + 1].mechanical]}
+            joins += [Join(CONTINUITY.format(name), k, gap) for name, gap in gaps.items()]
+    joins = [join for join in [*joins, *others(ends)] if join.rows.numel()]
     rows = ca.densify(ca.vertcat(*(join.rows for join in joins)))
-    low, high = (tuple(side for join in joins for side in join.sides[k]) for k in (0, 1))
-    conditions = ca.Function("joins", symbols, [rows], list(sizes), ["value"])
-    words, after, of_positions = (tuple(getattr(j, name) for j in joins) for name in ("words", "after", "of_positions"))
-    return Joins(words, after, of_positions, tuple(j.rows.numel() for j in joins), (conditions, low, high), cost)
-
-
-def continuity(
-    phases: Sequence[ControlProblem], k: int, after: Sequence[ca.SX], ends: list[PhaseEnds], words: str
-) -> list[Join]:
-    """Phase k + 1 begins with these positions and velocities; `words` name a row of x or v, the first {}."""
-    dm = phases[k + 1].mechanical
-    gaps = {"x": ends[k + 1].x0 - after[0], "v": (ends[k + 1].v0 - after[1])[:dm]}
-    zeros = {name: (0.0,) * gap.numel() for name, gap in gaps.items()}
-    return [Join(words.format(name, "{}"), k, gap, [zeros[name]] * 2, name == "x") for name, gap in gaps.items()]
+    sides = [join.sides or ((0.0,) * join.rows.numel(),) * 2 for join in joins]
+    low, high = (tuple(side for pair in sides for side in pair[k]) for k in (0, 1))
+    conditions = ca.Function("joins", symbols, [rows], list(sizes), ["value"]), low, high
+    return Joins(tuple(join._replace(rows=join.rows.numel(), sides=None) for join in joins), conditions, cost)
 
 
 def sections(problem: ControlProblem) -> list[ControlProblem]:
     """The phases of a problem: it changes at crossings, and, where the duration is free, at all breakpoints."""
-    times = [crossing.time for crossing in problem.crossings]
-    if problem.duration_bounds is not None:
-        times = list(problem.breakpoints)
+    free, crossed = problem.duration_bounds is not None, [crossing.time for crossing in problem.crossings]
+    times = list(problem.breakpoints) if free else crossed
     if not times:
         return [problem]
-    marks, d = [problem.t_span[0], *times, problem.t_span[1]], problem.dimension
-    none, phases = (None,) * d, list[ControlProblem]()
-    stated = problem.end_conditions[0]
+    d, stated, inner = problem.dimension, problem.end_conditions[0], dict[str, Any]()
+    at_start, at_end = ("start", "start_velocity"), ("end", "end_velocity")
+    inner |= dict.fromkeys((*at_start, *at_end), (None,) * d)
+    inner |= dict.fromkeys(("terminal_cost", "initial_cost", "initial_time_bounds"))
     nothing = of_zeros("end_conditions", {stated.name_in(i): stated.size1_in(i) for i in range(stated.n_in())}, 0)
-    places = [waypoint for waypoint in problem.waypoints if not is_limited(waypoint[1])]
-    for k, (begin, end) in enumerate(pairwise(marks)):
-        first, last = k == 0, k == len(times)
-        lasting = problem.duration_bounds and tuple((side[k],) for side in problem.duration_bounds)
-        phases.append(
-            with_values(
-                problem,
-                t_span=(begin, end),
-                breakpoints=tuple(t for t in problem.breakpoints if begin < t < end),
-                waypoints=tuple(place for place in places if begin < place[0] <= end),
-                jumps=(),
-                duration_bounds=lasting,
-                start=problem.start if first else none,
-                start_velocity=problem.start_velocity if first else none,
-                end=problem.end if last else none,
-                end_velocity=problem.end_velocity if last else none,
-                terminal_cost=problem.terminal_cost if last else None,
-                initial_cost=problem.initial_cost if first else None,
-                initial_time_bounds=problem.initial_time_bounds if first else None,
-                start_bounds=problem.start_bounds if first else bounds("start_bounds", None, d),
-                end_conditions=(nothing, (), ()),
-                limits_of_end=[],
-            )
-        )
+    inner |= {"start_bounds": bounds("start_bounds", None, d), "jumps": (), "limits_of_end": []}
+    inner["end_conditions"] = nothing, (), ()
+    places = [place for place in problem.waypoints if not is_limited(place[1])]
+    phases = list[ControlProblem]()
+    for k, (begin, end) in enumerate(pairwise([problem.t_span[0], *times, problem.t_span[1]])):
+        kept: tuple[str, ...] = (*at_start, "initial_cost", "initial_time_bounds", "start_bounds") if k == 0 else ()
+        kept = (*at_end, "terminal_cost") if k == len(times) else kept
+        of_phase = inner | {name: getattr(problem, name) for name in kept}
+        of_phase["breakpoints"] = tuple(t for t in problem.breakpoints if begin < t < end)
+        of_phase["waypoints"] = tuple(place for place in places if begin < place[0] <= end)
+        of_phase["duration_bounds"] = problem.duration_bounds and tuple((side[k],) for side in problem.duration_bounds)
+        phases.append(with_values(problem, t_span=(begin, end), **of_phase))
     return phases
 
 
@@ -179,29 +155,22 @@ def joined_sections(problem: ControlProblem, phases: Sequence[ControlProblem]) -
     if len(phases) == 1:
         return Joins()
     crossings = {crossing.time: crossing for crossing in problem.crossings}
+    at_joins = [crossings.get(phase.t_span[1]) for phase in phases[:-1]]
 
-    def make(ends: list[PhaseEnds]) -> list[Join]:
-        joins = list[Join]()
-        for k, phase in enumerate(phases[:-1]):
-            before, crossing = ends[k], crossings.get(phase.t_span[1])
+    def others(ends: list[PhaseEnds]) -> list[Join]:
+        first, last, joins = ends[0], ends[-1], list[Join]()
+        for k, (crossing, (before, after)) in enumerate(zip(at_joins, pairwise(ends), strict=True)):
             p = [] if problem.parameters is None else [before.p]
-            after = before.x1, before.v1
-            if crossing is not None and crossing.jump is not None:
-                after = crossing.jump(*after, *p)
-            joins += continuity(phases, k, after, ends, "the continuity of {}[{}]")
             if crossing is not None and crossing.condition is not None:
                 g, *sides = crossing.condition
                 joins.append(Join("condition {}", k, g(before.x1, before.v1, *p), sides))
             if problem.parameter_bounds is not None:
-                zeros = (0.0,) * len(problem.parameters or ())
-                joins.append(Join("the continuity of p[{}]", k, ends[k + 1].p - before.p, (zeros, zeros)))
+                joins.append(Join("the continuity of p[{}]", k, after.p - before.p))
         g, *sides = problem.conditions_at_ends
-        first, last = ends[0], ends[-1]
         p = [] if problem.parameters is None else [last.p]
-        joins.append(Join("end condition {}", len(phases) - 1, g(first.x0, first.v0, last.x1, last.v1, *p), sides))
-        return joins
+        return [*joins, Join("end condition {}", len(joins), g(first.x0, first.v0, last.x1, last.v1, *p), sides)]
 
-    return joined(phases, make)
+    return _joined(phases, [crossing and crossing.jump for crossing in at_joins], others)
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -241,6 +210,7 @@ class Phases:
     """
 
     phases: tuple[ControlProblem, ...]
+    links: tuple[ca.Function | Limited | None, ...]
     joins: Joins
 
     def __init__(
@@ -250,26 +220,22 @@ class Phases:
         conditions: tuple[Traceable, Limit, Limit] | None = None,
         cost: Traceable | None = None,
     ) -> None:
-        given = self.__dict__  # the class is frozen
-        given["phases"] = _consecutive(phases)
+        self.__dict__["phases"] = _consecutive(phases)  # the class is frozen
         count, sizes = len(self.phases) - 1, _sizes(self.phases)
         links = [None] * count if links is None else links
         if not isinstance(links, (tuple, list)) or len(links) != count:
             raise ValueError(f"links must be {count}, one for every phase but the last, got {links!r}")
-        of_all, limits = (None, None) if conditions is None else _limited("conditions", conditions)
-        g = None if of_all is None else trace("conditions", _of_ends(of_all, sizes), sizes, "any")
         total = None if cost is None else trace("cost", _of_ends(cost, sizes), sizes, "scalar")
+        limited = None if conditions is None else _limited("conditions", conditions, sizes, _of_ends)
 
-        def make(ends: list[PhaseEnds]) -> list[Join]:
-            joins = [join for k, link in enumerate(links) for join in _linked(self.phases, k, link, ends)]
-            if g is not None:
-                rows = g(*(value for phase in ends for value in phase))
-                joins.append(
-                    Join("condition {} on the phases", count, rows, bounds("conditions", limits, rows.numel()))
-                )
-            return joins
+        def others(ends: list[PhaseEnds]) -> list[Join]:
+            if limited is None:
+                return []
+            rows = limited[0](*(value for phase in ends for value in phase))
+            return [Join("condition {} on the phases", count, rows, limited[1:])]
 
-        given["joins"] = _checked(self.phases, joined(self.phases, make, total))
+        self.__dict__["links"] = tuple(_link(self.phases, k, link) for k, link in enumerate(links))
+        self.__dict__["joins"] = _checked(self.phases, _joined(self.phases, self.links, others, total))
 
     @property
     def t_span(self) -> tuple[float, float]:
@@ -337,39 +303,34 @@ def _of_ends(function: Any, sizes: Mapping[str, int]) -> Any:
     return of_parts if callable(function) else function
 
 
-def _limited(name: str, given: Any) -> tuple[Traceable, tuple[Limit, Limit]]:
+def _limited(name: str, given: Any, sizes: Mapping[str, int], of: Callable[..., Any] = lambda g, _: g) -> Limited:
     if not isinstance(given, (tuple, list)) or len(given) != 3:
         raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {given!r}")
-    return given[0], (given[1], given[2])
+    g = trace(name, of(given[0], sizes), sizes, "any")
+    return g, *bounds(name, given[1:], g.numel_out(0))
 
 
-def _linked(phases: Sequence[ControlProblem], k: int, link: Link, ends: list[PhaseEnds]) -> list[Join]:
-    """What links phase k to the next."""
-    one, other = phases[k : k + 2]
-    before, after, name = ends[k], ends[k + 1], f"link {k}"
-    p = [] if one.parameters is None else [before.p]
-    words = f"the link of {{}}[{{}}] to phase {k + 1}"
-    sizes = arguments(one.parameters, x=one.dimension, v=one.dimension)
-    if link is None:
-        if one.dimension != other.dimension:
-            counts = counted(one.dimension, "component"), other.dimension
-            raise ValueError(
-                f"phase {k} has {counts[0]}, and phase {k + 1} has {counts[1]}: give a law (x, v) -> (x, v) as {name}"
-            )
-        return continuity(phases, k, (before.x1, before.v1), ends, words)
+def _link(phases: Sequence[ControlProblem], k: int, link: Link) -> ca.Function | Limited | None:
+    """What links phase k to the next: a law (x, v[, p]) -> x, v, conditions, or None."""
+    (one, other), name = phases[k : k + 2], f"link {k}"
+    at_end = dict.fromkeys(("x", "v"), one.dimension)
     if callable(link):
-        law = positions_and_velocities(name, link, sizes, other.dimension, other.mechanical)
-        return continuity(phases, k, law(before.x1, before.v1, *p), ends, words)
-    (condition, limits), sizes = _limited(name, link), dict.fromkeys(("x", "v"), one.dimension)
-    sizes |= dict.fromkeys(("x_after", "v_after"), other.dimension)
-    g = trace(name, condition, arguments(one.parameters, **sizes), "any")
-    rows = g(before.x1, before.v1, after.x0, after.v0, *p)
-    return [Join(f"condition {{}} of {name}", k, rows, bounds(name, limits, rows.numel()))]
+        sizes = arguments(one.parameters, **at_end)
+        return positions_and_velocities(name, link, sizes, other.dimension, other.mechanical)
+    if link is not None:
+        after = dict.fromkeys(("x_after", "v_after"), other.dimension)
+        return _limited(name, link, arguments(one.parameters, **at_end, **after))
+    if one.dimension != other.dimension:
+        raise ValueError(
+            f"phase {k} has {counted(one.dimension, 'component')}, and phase {k + 1} has {other.dimension}: give a law "
+            f"(x, v) -> (x, v) as {name}"
+        )
+    return None
 
 
 def _checked(phases: Sequence[ControlProblem], joins: Joins) -> Joins:
     """What joins phases, without the rows that given values fulfil; refuses rows that depend on nothing else."""
-    values, moving, (g, low, high) = list[np.ndarray](), False, joins.conditions
+    values, moving, (g, low, high) = list[np.ndarray](), phases[0].initial_time_bounds is not None, joins.conditions
     for k, phase in enumerate(phases):
         d, moved = phase.dimension, moving
         moving |= phase.duration_bounds is not None
@@ -387,7 +348,7 @@ def _checked(phases: Sequence[ControlProblem], joins: Joins) -> Joins:
                 )
     found = np.array(g(*map(np.nan_to_num, values))).ravel()
     free = np.any([rows_that_depend(g, k, np.isnan(a)) for k, a in enumerate(values)], axis=0)
-    names = [words.format(i) for words, count in zip(joins.words, joins.counts, strict=True) for i in range(count)]
+    names = [join.words.format(i) for join in joins.each for i in range(join.rows)]
     sides = np.array([low, high])
     for i in np.flatnonzero(~free).tolist():
         if "condition" in names[i]:

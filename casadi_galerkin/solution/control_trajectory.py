@@ -106,8 +106,8 @@ class ControlTrajectory(Trajectory):
     residual : the same in units of the relative precision of a double, 2.2e-16; at most 4.5e7
     start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,
         the derivative of its polynomial
-    arrival_velocity : (K, mechanical), the velocities at the K breakpoints that have a jump, before it, or a function
-        as waypoint
+    phases : the path of every phase into which jumps, waypoints that are functions, and breakpoints whose times are
+        free part the problem; the `end_velocity` of one is the velocity before the jump
 
     At the time of a jump ``path(t)``, `x`, `momentum` and `velocity` are those after it; ``path.before(t)`` is the
     position before.  The costate jumps as well, there and at waypoints: ``costate(t)`` and ``costate.before(t)``.
@@ -145,7 +145,6 @@ class ControlTrajectory(Trajectory):
     violation: float
     start_velocity: np.ndarray
     end_velocity: np.ndarray
-    arrival_velocity: np.ndarray
     find_remaining_error: Callable[[], RemainingError]
     find_sensitivity: Callable[[ControlTrajectory], Any]
     find_comparisons: Callable[[ControlTrajectory], Comparisons]
@@ -154,7 +153,7 @@ class ControlTrajectory(Trajectory):
 
     @property
     def phases(self) -> tuple[ControlTrajectory, ...]:
-        """The path of every phase: parted by jumps, waypoints that are functions and breakpoints at free times."""
+        """The paths of the phases into which the problem is parted, or this one alone."""
         return self.parts or (self,)
 
     @cached_property

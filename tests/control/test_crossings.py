@@ -52,7 +52,7 @@ def test_a_bounce_has_the_least_effort_of_all_speeds():
     speed = 10.8 / 6.56  # of effort(-1, 0, -s, 1) + effort(1, 0.8 s, 0, 1) = 12 - 10.8 s + 3.28 s²
     assert path.cost == pytest.approx(12 - 5.4 * speed, rel=1e-9)
     assert path.cost == pytest.approx(effort(-1, 0, -speed, 1) + effort(1, 0.8 * speed, 0, 1), rel=1e-9)
-    assert path.arrival_velocity[0, 0] == pytest.approx(-speed, abs=SOLVED)
+    assert path.phases[0].end_velocity[0] == pytest.approx(-speed, abs=SOLVED)
     assert (path.velocity[0, 2], path.momentum[0, 2]) == pytest.approx((0.8 * speed, 0.8 * speed), abs=SOLVED)
     assert path(1.0)[0] == pytest.approx(0, abs=SOLVED)
     assert path.before(1.0)[0] == pytest.approx(0, abs=SOLVED)
@@ -65,7 +65,7 @@ def test_a_bounce_at_a_free_time_keeps_the_hamiltonian():
     path = cg.solve(bounce(**timed), cg.Galerkin(4), 8)
     np.testing.assert_allclose(path.hamiltonian, 0, atol=1e-7)
     first, second = np.diff([0.0, path.problem.jumps[0][0], path.t[-1]])
-    speed = -path.arrival_velocity[0, 0]
+    speed = -path.phases[0].end_velocity[0]
     expected = effort(-1, 0, -speed, first) + effort(1, 0.8 * speed, 0, second) + (first + second) / 2
     assert path.cost == pytest.approx(expected, rel=1e-8)
     for change in np.vstack((np.eye(3), -np.eye(3))) * 1e-3:  # nothing near by is cheaper
@@ -101,7 +101,8 @@ def differences(path, exact):
         for side, known in ((a, b), (a.before, b.before))
     ]
     after = [p.velocity[0, np.searchsorted(p.t, when)] for p in (path, exact)]
-    pairs = [*sides, (path.arrival_velocity, exact.arrival_velocity), after, (path.cost, exact.cost)]
+    arrived = [[phase.end_velocity[:1] for phase in p.phases[:-1]] for p in (path, exact)]
+    pairs = [*sides, arrived, after, (path.cost, exact.cost)]
     return [np.max(np.abs(np.subtract(*pair))) for pair in pairs]
 
 
@@ -263,7 +264,7 @@ def test_a_bound_on_the_way_that_is_loose_costs_nothing():
 def test_a_condition_holds_before_a_jump_at_its_time():
     speed = 0.5
     path = cg.solve(bounce(waypoints=[(1.0, (lambda x, v: [x[0], v[0]], [0, -speed], [0, np.inf]))]), cg.Galerkin(3), 4)
-    assert path.arrival_velocity[0, 0] == pytest.approx(-speed, abs=SOLVED)
+    assert path.phases[0].end_velocity[0] == pytest.approx(-speed, abs=SOLVED)
     assert path.velocity[0, 2] == pytest.approx(0.8 * speed, abs=SOLVED)
     assert path.cost == pytest.approx(effort(-1, 0, -speed, 1) + effort(1, 0.8 * speed, 0, 1), rel=1e-8)
 

@@ -167,7 +167,7 @@ def test_a_summary_has_every_phase():
         (
             lambda: cg.Phases([moving(0, 1, 0.0, 1.0), moving(1, 2, 2.0)]),
             ValueError,
-            r"the link of x\[0\] to phase 1 is missed by 1.0 by what both give",
+            r"the continuity of x\[0\] is missed by 1.0 by what both give",
         ),
         (
             lambda: cg.Phases([two_bodies(), moving(1, 2)]),
