@@ -21,6 +21,7 @@ def rod(load=5.0, clamped=False, friction=0.0):
 
 
 @pytest.mark.parametrize("clamped", [True, False])
+@pytest.mark.slow
 def test_loads_at_which_a_rod_buckles_are_found_to_rounding(clamped):
     branch = cg.continuation(rod(clamped=clamped), [100.0], intervals=12)
     assert branch.reached
@@ -56,6 +57,7 @@ def test_a_buckled_rod_is_the_elastica():
     assert str(diagram).startswith("Diagram of 7 branches\n  3 branch points at [9.8696")
 
 
+@pytest.mark.slow
 def test_no_more_branches_are_followed_than_asked_for():
     diagram = cg.continuation(rod(), [100.0], intervals=12, branches=2)
     assert (len(diagram), diagram.waiting) == (2, 5)
@@ -64,6 +66,7 @@ def test_no_more_branches_are_followed_than_asked_for():
     assert "5 more not followed" in str(diagram)
 
 
+@pytest.mark.slow
 def test_a_branch_point_without_symmetry_is_found():
     """Of x'' = -p x + x² the branch x = 0 is crossed by one that leads through it (transcritical)."""
     problem = cg.BoundaryProblem(
@@ -77,6 +80,7 @@ def test_a_branch_point_without_symmetry_is_found():
     assert sorted(branch.stopped for branch in diagram[1:]) == ["the target", "turned back to the start"]
 
 
+@pytest.mark.slow
 def test_under_a_force_branch_points_are_found_without_an_index():
     """x'' + f x' + p sin x = 0 between zeros: x = exp(-f s/2) sin(k π s) where p = (kπ)² + f²/4."""
     friction = 0.7
@@ -95,6 +99,7 @@ def test_the_apex_of_a_pitchfork_is_a_branch_point_of_the_bent_branch():
     assert len(bent) == 3  # straight before and beyond
 
 
+@pytest.mark.slow
 def test_curves_that_only_come_near_are_no_branch_point():
     beside = cg.BoundaryProblem(
         lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 1), [0.0], [1e-4], parameters=[5.0]

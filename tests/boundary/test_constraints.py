@@ -142,6 +142,7 @@ def test_multipliers_come_in_the_shape_of_the_times_asked_for():
     np.testing.assert_allclose(path.multipliers(path.t[3]), path.multipliers(path.t)[:, 3], rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_multipliers_between_the_joints_have_order_m():
     exact = constrained_path("pendulum", cg.Galerkin(12))
     times, counts, errors = np.linspace(0.01, 1.49, 301), (10, 20, 40), []
@@ -368,6 +369,7 @@ def test_a_constrained_path_found_to_a_tolerance_meets_it(name, tol):
     assert np.max(np.abs(path(times) - place(exact(times)))) <= tol
 
 
+@pytest.mark.slow
 def test_a_sledge_on_a_frozen_lake_keeps_to_the_round_earth_up_to_the_rounding_of_its_radius():
     radius, gravity, duration, angle = 6.378e6, 9.81, 20.0, 2e-4  # in m and s
     place = lambda angle: radius * np.array([np.sin(angle), -2 * np.sin(angle / 2) ** 2])  # noqa: E731

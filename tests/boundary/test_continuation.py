@@ -33,6 +33,7 @@ def test_bratus_fold_is_located(round_the_fold):
     np.testing.assert_allclose(fold.path(0.5), height(FOLD * (1 - 1e-15), upper=False), rtol=1e-6, atol=0)
 
 
+@pytest.mark.slow
 def test_the_walk_comes_back_on_the_upper_branch(round_the_fold):
     branch, (fold,) = round_the_fold, round_the_fold.folds
     assert not branch.reached

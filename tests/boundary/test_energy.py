@@ -97,6 +97,7 @@ def test_a_periodic_pendulum_in_the_plane_has_the_period_of_its_elliptic_integra
     assert path.t[-1] == pytest.approx(4 * ellipk(np.sin(0.5) ** 2), rel=PERIOD)
 
 
+@pytest.mark.slow
 def test_many_intervals_of_a_constrained_path_of_given_energy_are_solved():
     """The row of the duration is full: QR of all rows would have full factors, and take minutes."""
     problem = cg.BoundaryProblem(planar, (0, 1), on_circle(0.2), on_circle(1.3), constraint=unit_length, energy=0.4)
@@ -353,6 +354,7 @@ def test_a_duration_of_given_energy_stays_positive_whatever_its_guess(duration):
     assert cg.solve(problem, tol=1e-10).t[-1] == pytest.approx(flight, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_a_duration_that_times_far_from_zero_cannot_hold_is_at_its_roundoff_floor():
     """Times near 1e9 are rounded by 1e-7: so is the last one, and with it the duration."""
     began = 1e9

@@ -62,6 +62,7 @@ def test_noise_does_not_hide_a_great_circle(seed):
         ),
     ],
 )
+@pytest.mark.slow
 def test_a_stiffening_spring_swings_between_its_ends(potential, duration, start, end):
     """Newton's method and IPOPT fail from the straight line; the load that holds it leads to a swing."""
     spring = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - potential(x[0]), (0, duration), [start], [end])

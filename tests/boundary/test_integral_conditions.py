@@ -166,6 +166,7 @@ def test_a_force_acts_beside_an_integral():
     assert path.morse_index is None
 
 
+@pytest.mark.slow
 def test_a_holonomic_constraint_holds_beside_an_integral():
     problem = held(
         lambda t, x, v: x[2],
@@ -210,6 +211,7 @@ def test_other_values_need_no_other_graph():
     assert multipliers == pytest.approx([-12.0, -24.0], rel=CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_values_of_integrals_are_swept_and_continued():
     swept = cg.sweep(held(), [{"integral_values": [value]} for value in (1.0, 2.0, 3.0)], tol=1e-9)
     assert [path.integral_multipliers[0] for path in swept] == pytest.approx([-12.0, -24.0, -36.0], rel=1e-9)
@@ -230,6 +232,7 @@ def test_a_path_without_given_integrals_has_no_multipliers():
     assert cg.solve(cg.BoundaryProblem(free, (0, 1), [0.0], [1.0]), METHOD, 2).integral_multipliers.shape == (0,)
 
 
+@pytest.mark.slow
 def test_an_integral_that_no_path_has_is_named():
     problem = held(lambda t, x, v: x[0] ** 2, [-1.0])
     with pytest.raises(cg.ConvergenceError, match=r"there may be no path with the integrals \[-1.0\]: here they are"):

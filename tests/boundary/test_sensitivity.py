@@ -152,6 +152,7 @@ def test_jacobian_is_that_of_the_closed_form():
         assert np.abs(expected).max() > 0.1
 
 
+@pytest.mark.slow
 def test_second_derivatives_are_those_of_the_closed_form():
     f, path = solved(spring())
     ours = derivatives(*at_data(f, path.polynomial.values), order=2)
@@ -436,6 +437,7 @@ def varied(values, change):
     return [value + change if i == last else value for i, value in enumerate(values)]
 
 
+@pytest.mark.slow
 def test_the_error_of_a_path_whose_velocity_is_an_unknown_is_that_of_the_closed_form():
     """Its Lagrangian is that of a charge, and v_1 at the start an unknown, as only v_0 is given."""
     at_start = 1.2 / np.sqrt(1 + 1.2**2 + 0.9**2)

@@ -210,6 +210,7 @@ def test_members_of_a_family_are_counted_and_not_returned():
         np.testing.assert_allclose(path.momentum, 0.0, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_conjugate_ends_are_an_error():
     problem = oscillator_problem(t_span=(0.0, np.pi), end=[0.0])
     with pytest.raises(
@@ -236,6 +237,7 @@ def test_a_search_ends_when_the_time_is_up():
         search.run(1)
 
 
+@pytest.mark.slow
 def test_the_search_ends_at_the_count_or_when_nothing_new_is_found(swings):
     assert repr(swings).splitlines()[0].endswith("stopped after 20 solves without a new one")
     few = cg.paths(LONG, cg.Galerkin(8), 12, count=2)

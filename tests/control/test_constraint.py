@@ -45,6 +45,7 @@ def test_an_end_beside_the_vertical_by_rounding_costs_what_the_vertical_does(rou
 
 @pytest.mark.parametrize("degree", [2, *slow(4)])
 @pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1)], ids=["gauss", "lobatto"])
+@pytest.mark.slow
 def test_order_is_twice_the_degree(degree, rule):
     meshes = {1: (20, 40, 80), 2: (10, 20, 40), 4: (8, 10, 12)}[degree]
     method = cg.Galerkin(degree, quadrature=rule(degree))

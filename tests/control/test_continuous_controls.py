@@ -58,6 +58,7 @@ def test_an_angle_is_found_that_can_be_flown(tol):
     assert np.ptp(path.control.values) < np.pi  # without turns
 
 
+@pytest.mark.slow
 def test_the_angle_of_a_fixed_mesh_is_continuous_too():
     path = cg.solve(steered(), cg.Galerkin(6), 10)
     np.testing.assert_allclose(flown(path), [2, 1, 0, 0], rtol=0, atol=1e-6)

@@ -120,6 +120,7 @@ def test_both_sides_of_a_jump_have_twice_the_degree(degree, parts):
 
 
 @pytest.mark.parametrize("pushed", [0, 1])
+@pytest.mark.slow
 def test_the_costate_says_what_a_small_force_or_rate_costs_on_both_sides(pushed):
     method, step = cg.Galerkin(5, quadrature=cg.gauss(6)), 1e-3
 
@@ -179,6 +180,7 @@ def test_a_constant_of_a_phase_may_be_zero_all_along():
     np.testing.assert_allclose(path.x[2], 0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_an_answer_is_a_guess_with_its_jumps():
     cold = cg.transcribe(staged(), cg.Galerkin(4), 8)
     known = cold.solve()
@@ -191,6 +193,7 @@ def test_an_answer_is_a_guess_with_its_jumps():
     assert finer.solve(guess=known).iterations < finer.solve().iterations
 
 
+@pytest.mark.slow
 def test_a_jump_in_a_function_to_embed():
     f = cg.solution_function(burning(), cg.Galerkin(4), 6)
     path = cg.solve(burning(end=[1.5, None]), cg.Galerkin(4), 6)

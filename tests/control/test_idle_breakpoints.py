@@ -203,6 +203,7 @@ def test_an_answer_with_all_breakpoints_is_a_guess():
     assert again.iterations == same.iterations
 
 
+@pytest.mark.slow
 def test_the_path_of_a_limit_has_all_breakpoints():
     with pytest.raises(cg.LimitReached) as caught:
         cg.solve(race(breakpoints=[0.7]), tol=1e-6, limits=cg.Limits(levels=1))

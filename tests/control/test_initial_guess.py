@@ -195,6 +195,7 @@ def test_a_warm_start_does_not_depend_on_who_found_the_answer():
     assert far.solve(end=[np.pi], guess=near.solve()).iterations <= 1
 
 
+@pytest.mark.slow
 def test_another_layout_starts_from_the_path_alone(swinging):
     same, known = swinging
     meshes = {"mesh": 3 * np.linspace(0, 1, 11) ** 1.3}, {"mesh": np.linspace(0, 3, 12)}

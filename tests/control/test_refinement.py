@@ -317,6 +317,7 @@ def test_a_cost_that_is_zero_is_told_at_once(name, tol):
     assert path.morse_index == 0
 
 
+@pytest.mark.slow
 def test_a_mesh_with_too_short_an_interval_is_a_limit(monkeypatch):
     """It was told in words for the joints of a user."""
     monkeypatch.setattr("casadi_galerkin.control.control_refinement.SHORTEST_STEP", 1e-2)
@@ -335,6 +336,7 @@ def test_error_of_the_cost_is_told_where_a_limit_is_reached():
         cg.solve(script("goddard").problem(), tol=1e-5, limits=cg.Limits(levels=1))
 
 
+@pytest.mark.slow
 def test_what_the_solver_leaves_of_the_cost_is_part_of_its_error():
     """The least cost of a move within T is 6 / T³: both degrees agreed to 1e-14 on one that is 1.5e-5 too high."""
     slow = double_integrator(duration_bounds=(0.1, 1e3))
@@ -448,6 +450,7 @@ def test_a_flight_of_many_switches_is_resolved():
     assert path.cost == pytest.approx(2.78837, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_callable_that_overflows_on_a_later_mesh_is_a_limit(monkeypatch):
     """It was refused as if it were bad input, after minutes."""
     solve = ControlTranscription.solve

@@ -63,6 +63,7 @@ def test_the_shortest_way_to_a_circle_is_a_minimum_in_any_unit(length, duration)
     assert path.morse_index == 0
 
 
+@pytest.mark.slow
 def test_the_way_round_the_hill_is_a_minimum_and_costs_less():
     problem = over_a_hill(1)
     over, around = (cg.solve(problem, METHOD, 12, guess=guess) for guess in (None, lambda t: [2 * t - 1, t * (1 - t)]))
@@ -206,6 +207,7 @@ def test_controls_near_their_bounds_beside_a_switch_make_no_saddle(duration, tol
 
 @pytest.mark.parametrize("bound", [1.0, *slow(3.0)])
 @pytest.mark.parametrize("price", [1e-2, *slow(1e-3)])
+@pytest.mark.slow
 def test_bounds_that_are_met_at_a_high_price_leave_a_convex_cost_its_minimum(bound, price):
     """Their stiffness was taken for the size of the cost, and nothing was told."""
     braked = double_integrator(

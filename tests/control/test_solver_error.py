@@ -105,6 +105,7 @@ def test_a_component_that_is_only_what_the_solver_leaves_of_it_is_not_compared_w
     assert path.error_estimate <= tol
 
 
+@pytest.mark.slow
 def test_a_component_that_is_small_but_told_from_zero_is_compared_with_itself():
     size = 1e-8
     problem = double_integrator(
@@ -188,6 +189,7 @@ def test_no_cost_is_called_known_that_units_keep_from_the_solver(of):
     assert path.unseen_change > 0.3 * (error - 1e-13) * path.cost  # of an exact path both are rounding
 
 
+@pytest.mark.slow
 def test_a_control_without_effect_in_a_phase_does_not_hide_the_cost():
     """A hopper, whose legs push only where a flag is one: in flight it is zero but for rounding."""
     hop = cg.ControlProblem(
@@ -211,6 +213,7 @@ def test_a_control_without_effect_in_a_phase_does_not_hide_the_cost():
 
 
 @pytest.mark.parametrize("tol", [1e-2, *slow(1e-6)])
+@pytest.mark.slow
 def test_no_cost_is_called_open_where_all_controls_are_at_their_bounds(tol):
     """A tank that is emptied at full rate in the least time, 0.6 s: then nothing is left to be chosen."""
     burn = cg.ControlProblem(

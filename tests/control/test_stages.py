@@ -79,6 +79,7 @@ def resolved(make):
 
 @pytest.mark.parametrize("make", [driven, *slow(nonlinear)])
 @pytest.mark.parametrize(("degree", "meshes"), [(3, (6, 9, 12)), *slow((1, (20, 40, 80)))])
+@pytest.mark.slow
 def test_cost_and_joints_of_components_with_rates_have_twice_the_degree(make, degree, meshes):
     exact, errors = resolved(make), []
     for n in meshes:

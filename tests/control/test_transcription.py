@@ -407,6 +407,7 @@ def test_solving_again_with_changes_is_solving_afresh(name):
         assert getattr(path.problem, field) == tuple(value)
 
 
+@pytest.mark.slow
 def test_solving_again_takes_parameters_given_or_free():
     path = cg.transcribe(_mass(), cg.Galerkin(3), 4).solve(parameters=[2.0])
     assert path.cost == pytest.approx(24, abs=1e-10)

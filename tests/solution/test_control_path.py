@@ -44,6 +44,7 @@ def flown(path, control):
 
 
 @pytest.mark.parametrize("bounds", [(-1.0, 1.0), (-1.0, np.inf)])
+@pytest.mark.slow
 def test_a_control_is_cut_at_its_bounds_and_keeps_its_impulse(bounds):
     path = cg.solve(in_least_time(), cg.Galerkin(3), 4)
     given = path.t, path.control.points, path.control.values, path.control.rule

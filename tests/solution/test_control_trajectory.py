@@ -144,6 +144,7 @@ def test_what_cannot_be_replayed_is_summarized_under_a_constraint():
     assert "defect" in repr(path)
 
 
+@pytest.mark.slow
 def test_the_problem_found_has_the_times_and_parameters_found_and_is_solved_by_the_same_path():
     path = cg.solve(everything(), cg.Galerkin(3), intervals=10)
     assert path.problem.t_span == (0.3, path.t[-1]) != everything().t_span
@@ -238,6 +239,7 @@ def test_a_hamiltonian_that_should_be_constant_shows_what_no_derivative_sees(hol
     assert ("NOT RESOLVED: the Hamiltonian, which should be constant, varies by" in repr(blind)) is not hold
 
 
+@pytest.mark.slow
 def test_a_hamiltonian_that_varies_because_of_given_times_says_so():
     passing = cg.solve(double_integrator(waypoints=[(0.3, [0.9])]), cg.Galerkin(3), 10)
     assert np.ptp(passing.hamiltonian) > 100

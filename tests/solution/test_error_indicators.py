@@ -422,6 +422,7 @@ def test_a_jump_of_a_force_in_time_is_resolved(when, tol):
 
 
 @pytest.mark.parametrize("tol", [1e-3, *slow(1e-6)])
+@pytest.mark.slow
 def test_dry_friction_is_resolved_where_the_motion_turns(tol):
     rubbed, speed, duration = 0.3, 1.3, 2.6
     size, phase = np.hypot(rubbed, speed), np.arctan2(rubbed, speed)

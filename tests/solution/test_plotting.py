@@ -40,6 +40,7 @@ def test_path_is_drawn_with_names_units_and_joints():
         assert lines[2 * i].get_color() == lines[2 * i + 1].get_color() == COLORS[i]
 
 
+@pytest.mark.slow
 def test_the_names_of_many_components_hide_no_line():
     problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2, (0, 1), [0.0] * 4, [1.0, 2.0, 3.0, 4.0])
     axes = cg.solve(problem, cg.Galerkin(2), 4).plot()
@@ -170,6 +171,7 @@ def test_components_that_span_no_plane_are_refused(components):
         planar().solve().plot_plane(components)
 
 
+@pytest.mark.slow
 def test_poses_are_those_of_the_path_and_a_strip_moves_them_apart():
     path = planar().solve()
     trail, *poses = path.plot_poses(rods, count=3).get_lines()
@@ -180,6 +182,7 @@ def test_poses_are_those_of_the_path_and_a_strip_moves_them_apart():
     np.testing.assert_allclose([pose.get_xydata()[0] for pose in strip], [[0, 0], [2, 0], [4, 0]])
 
 
+@pytest.mark.slow
 def test_a_branch_is_drawn_by_morse_index_with_its_folds():
     problem = cg.BoundaryProblem(
         lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0, 1), [0.0], [0.0], parameters=[3.0]

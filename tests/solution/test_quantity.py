@@ -88,6 +88,7 @@ def test_steps_are_halved_until_a_quantity_is_known(exact):
     assert path.asked == pytest.approx(exact.momentum[:, -1], rel=2e-7)
 
 
+@pytest.mark.slow
 def test_a_kink_that_both_degrees_miss_is_an_error_of_every_quantity():
     bounce = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 - 50 * ca.fabs(x[0] - 0.3337), (0, 1), start=[0.0], end=[1.0]
@@ -130,6 +131,7 @@ def test_a_limit_returns_the_quantity_with_the_error_reached():
     assert 1e-9 < path.asked_error < 1e-2
 
 
+@pytest.mark.slow
 def test_an_optimum_is_refined_for_a_quantity_of_it():
     path = cg.solve(pushed(), cg.Galerkin(3), tol=1e-6, of=lambda path: path.momentum[:, -1] + path.cost)
     assert path.asked_error <= 1e-6 < path.error_estimate

@@ -142,6 +142,7 @@ def test_on_a_fixed_mesh_such_steps_are_told(name):
     assert "NOT RESOLVED" in repr(cg.solve(double_integrator(t_span=(0.0, 1.5), **STEPS[name]), cg.Galerkin(5), 20))
 
 
+@pytest.mark.slow
 def test_a_step_at_a_given_time_with_a_free_duration_is_stated_by_two_phases():
     """The first lasts until the step, and with it the least of 6/T³ + 1 + 1.5 (T - 1) is found."""
     path = cg.solve(

@@ -33,6 +33,7 @@ def test_a_step_in_time_that_no_breakpoint_names_is_not_resolved():
     assert "NOT RESOLVED" not in repr(cg.solve(named, cg.Galerkin(4), mesh=mesh))
 
 
+@pytest.mark.slow
 def test_excess_between_the_points_is_told():
     coarse, fine = (
         cg.solve(speed_limited(0.6), cg.Galerkin(4), count) for count in (3, 20)

@@ -106,6 +106,7 @@ def test_a_single_line_does_not_pass_for_a_minimum():
 
 
 @pytest.mark.parametrize(("degree", "intervals"), [(6, 5), (8, 20), (12, 5)])
+@pytest.mark.slow
 def test_conjugate_ends_are_named(degree, intervals):
     """At T = π, to within a discretization error that is at roundoff."""
     with pytest.raises(cg.ConjugatePointError, match="conjugate points") as caught:
@@ -125,6 +126,7 @@ def test_nearly_conjugate_ends_are_solved(degree, intervals, offset):
 
 @pytest.mark.parametrize("degree", [1, 2, *slow(4)])
 @pytest.mark.parametrize("intervals", [4, *slow(8)])
+@pytest.mark.slow
 def test_coarse_methods_are_singular_at_a_conjugate_point_of_their_own(degree, intervals):
     """It is found by bisection of the Morse index, and lies as far from π as the method's order says."""
 

@@ -235,6 +235,7 @@ def test_a_component_that_rests_stays_at_rest(start, velocity, degree, unit):
 
 
 @pytest.mark.parametrize("degree", [6, 8])
+@pytest.mark.slow
 def test_a_component_held_at_zero_stays_zero(degree):
     """A free particle on the line x_1 = 0: its path is as good as on any other line, and can be shot."""
 

@@ -42,6 +42,7 @@ def shot_and_solved(problem, method, mesh, guess=None):
 
 
 @pytest.mark.parametrize("eccentricity", [0.5, *slow(0.9)])
+@pytest.mark.slow
 def test_half_an_ellipse_of_given_energy_takes_half_of_keplers_period(eccentricity):
     mesh = of_anomaly(eccentricity, np.linspace(0, np.pi, 25))[1] * 0.98  # the duration is a guess
     problem = cg.BoundaryProblem(kepler, (0, mesh[-1]), [1 - eccentricity, 0.0], [None, 0.0], energy=-0.5)
@@ -204,6 +205,7 @@ def test_no_duration_is_no_answer(periodic):
         cg.shoot(problem, METHOD, 12, guess=launched(problem, [1.4]))
 
 
+@pytest.mark.slow
 def test_an_energy_that_does_not_reach_over_the_top_is_named():
     problem = cg.BoundaryProblem(pendulum, (0, 1), [0.0], [6.0], energy=0.5)
     with pytest.raises(cg.ConvergenceError, match=r"the end is missed by .* there may be no path of this energy$"):

@@ -252,6 +252,7 @@ def test_with_a_tolerance_equal_steps_are_halved_until_the_error_is_that_small(t
     assert path.method == cg.solve(cg.BoundaryProblem(swaying, (0, 1), [1.0], [0.0]), tol=tol).method
 
 
+@pytest.mark.slow
 def test_steps_begin_with_the_intervals_or_the_mesh_that_is_given():
     problem = cg.InitialProblem(swaying, (0, 1), [1.0], velocity=[0.0])
     assert len(cg.solve(problem, tol=1e-6, intervals=24).t) == 25

@@ -90,6 +90,7 @@ def test_steps_of_any_stiffness_are_stable(frequency):
     np.testing.assert_allclose(energy, 1, rtol=1e-10)  # Gauss methods conserve quadratic invariants
 
 
+@pytest.mark.slow
 def test_large_steps_of_a_chaotic_motion_are_solved():
     # predictions of a higher degree led some of these steps to other solutions, and then to none
     problem = cg.InitialProblem(double_pendulum, (0, 20), [2.0, 2.5], velocity=[0.0, 0.0])

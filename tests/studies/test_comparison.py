@@ -91,6 +91,7 @@ def test_a_gap_at_roundoff_has_no_rate_of_growth(problem):
     assert "exp(" not in str(comparison)
 
 
+@pytest.mark.slow
 def test_a_gap_that_leaves_roundoff_at_two_joints_has_no_rate_of_growth():
     comparison = cg.compare(cg.BoundaryProblem(saddle, (0, 40), [1.0], [1.0]), cg.Galerkin(16), intervals=3)
     assert np.isnan(comparison.gap_growth)
@@ -105,6 +106,7 @@ def test_only_what_comes_before_the_parting_is_growth():
     assert module._growth_rate(t, gap) == pytest.approx(1, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_ways_agree_on_a_short_arc_of_kepler():
     comparison = cg.compare(cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9]), METHOD, intervals=10)
     assert comparison.shooting.failure is None
@@ -189,6 +191,7 @@ def test_a_periodic_path_of_given_energy_is_compared():
     assert np.isnan(comparison.condition_global)
 
 
+@pytest.mark.slow
 def test_another_path_of_the_same_energy_takes_another_time():
     problem = cg.BoundaryProblem(pendulum, (0, 3.0), [0.0], [1.0], energy=0.5)
     comparison = cg.compare(problem, METHOD, intervals=16)

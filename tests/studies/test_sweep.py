@@ -204,6 +204,7 @@ def test_another_branch_is_told_where_the_action_changes_much_along_both(step):
     assert list(cg.sweep(problem, variations, cg.Galerkin(8), 20).jumps) == [3]
 
 
+@pytest.mark.slow
 def test_the_other_way_round_the_sun_is_another_branch_of_the_same_index():
     problem, ends = lambert(8)
     for end in ends:
@@ -215,6 +216,7 @@ def test_the_other_way_round_the_sun_is_another_branch_of_the_same_index():
     assert sweep.jumps == {1: 0, 2: 1}
 
 
+@pytest.mark.slow
 def test_the_long_way_round_a_sphere_is_another_branch():
     """Its Morse index is 1 in space; under a constraint that alone is compared."""
 
@@ -235,6 +237,7 @@ def test_the_long_way_round_a_sphere_is_another_branch():
     assert sweep.jumps == {2: 1, 3: 2}
 
 
+@pytest.mark.slow
 def test_paths_on_neighboring_circles_are_on_one_branch():
     """The action changes by the constraint, which says more than the slopes of the Lagrangian alone."""
 

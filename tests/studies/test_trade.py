@@ -222,6 +222,7 @@ def test_a_control_problem_is_not_traded_by_solvers_of_equations():
         cg.trade(double_integrator(), [cg.Galerkin(3)], [4], solvers=[cg.newton])
 
 
+@pytest.mark.slow
 def test_guess_chooses_the_branch():
     problem = cg.BoundaryProblem(pendulum, (0.0, 10.0), [0.0], [1.0])
     over = cg.trade(problem, [cg.Galerkin(6)], (30, 60), guess=lambda t: [3 * np.sin(np.pi * t / 10) + t / 10])
