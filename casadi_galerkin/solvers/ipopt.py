@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -14,12 +13,9 @@ from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import limited, seconds_left
-from casadi_galerkin.solvers.newton import POLISHING, Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.newton import Solution, SolveFailure, polished
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.stationarity import Stationarity
-
-IPOPT_DEFAULTS = {"sb": "yes", "tol": 1e-10, "max_iter": 500}
-DIVERGED = "Diverging Iterates"  # at numbers so large that nothing is left to polish
 
 
 def critical_point(
@@ -45,19 +41,7 @@ def critical_point(
         stats = run.stats
     iterations, status = int(stats["iter_count"]), str(stats["return_status"]).replace("_", " ")
     x = sizes * np.append(found[0], found[4])[: len(guess)]  # with the multipliers of the conditions
-    if status == DIVERGED:
-        raise SolveFailure(f"{name} stopped with '{status}'", guess, iterations)
-    if not np.all(np.isfinite(x)):
-        raise SolveFailure(f"{name} stopped with '{status}' at a point that is not finite", guess, iterations)
-    try:
-        polished = damped_newton(stationarity, x, data, verbose, POLISHING)
-    except SolveFailure as failure:
-        if stats["success"] or seconds_left() < 0:  # IPOPT looks at a clock of its own
-            status += f", then Newton's method: {failure}"
-        singular = failure.singular and bool(stats["success"])
-        raise SolveFailure(f"{name} stopped with '{status}'", x, iterations, singular) from None
-    total = iterations + polished.iterations
-    return replace(polished, iterations=total, report=f"{name}, then Newton")
+    return polished(stationarity, x, data, verbose, name, iterations, status, bool(stats["success"]))
 
 
 def minimum(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any) -> Solution:
@@ -123,7 +107,7 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
         "calc_lam_p": False,
         "no_nlp_grad": True,
         "show_eval_warnings": verbose > 1,  # IPOPT shortens a step that leaves the Lagrangian's domain
-        "ipopt": {"print_level": 5 if verbose > 1 else 0, **IPOPT_DEFAULTS, **given},
+        "ipopt": {"print_level": 5 if verbose > 1 else 0, "sb": "yes", **given},
     }
     return ca.nlpsol("ipopt", "ipopt", {"x": x, "p": p, "f": action, "g": gradient[begin:]}, options)
 

@@ -32,7 +32,9 @@ SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if th
 STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = EPS**0.5
 POLISHING = 20  # most iterations from where another search stopped; with more it wanders, 4 times as long
-FREE_STEPS = 50  # most of them; 200 led to 180 of the same problems, but took twice as long
+SEARCH_ITERATIONS = (
+    50  # most of them after Newton's monotone steps; free steps found 180 for 165 with 200, in twice the time
+)
 ROUNDED = 4 * EPS  # size of a component, over that at which it would matter, up to which it is zero
 DRIFT = 10.0  # bound of the second variation's change, over what the last two steps show; along families at most 0.7
 
@@ -89,7 +91,7 @@ def damped_newton(
         try:
             return _iterate(linear, guess, data, verbose, max_iter, _monotone_step)
         except SolveFailure as failure:
-            first, left = failure, min(max_iter - failure.iterations, FREE_STEPS)
+            first, left = failure, min(max_iter - failure.iterations, SEARCH_ITERATIONS)
             if failure.iterations == 0 or left == 0 or seconds_left() < 0:
                 raise
         try:
@@ -98,6 +100,31 @@ def damped_newton(
             first.iterations += failure.iterations
             raise first from None
         return replace(found, iterations=first.iterations + found.iterations)
+
+
+def polished(
+    stationarity: Stationarity,
+    found: np.ndarray,
+    data: Data,
+    verbose: int,
+    name: str,
+    iterations: int,
+    status: str = "",
+    trusted: bool = True,
+) -> Solution:
+    """The verified solution near where another search has stopped, with this status; `name` is that of the search.
+
+    A singular Hessian is believed where the search is `trusted` to have found a solution.
+    """
+    words = f"{name} stopped with '{status}'" if status else name
+    if not np.isfinite(found).all():
+        raise SolveFailure(f"{words} at a point that is not finite", np.nan_to_num(found), iterations)
+    try:
+        solution = damped_newton(stationarity, found, data, verbose, POLISHING)
+    except SolveFailure as failure:
+        singular = failure.singular and trusted
+        raise SolveFailure(f"{words}, then Newton's method: {failure}", found, iterations, singular) from None
+    return replace(solution, iterations=iterations + solution.iterations, report=f"{name}, then Newton")
 
 
 Search: TypeAlias = Callable[[Linearization, Iterate, float, Data, int], tuple[Iterate, float, float]]

@@ -10,34 +10,31 @@ line it may diverge on large swings: what it finds is verified as any other answ
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
-from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
-from casadi_galerkin.solvers.stationarity import Stationarity
+from casadi_galerkin.solvers.newton import SEARCH_ITERATIONS, Solution, SolveFailure, polished
+from casadi_galerkin.solvers.stationarity import ACCEPTED, Stationarity
 
-NEAR_RESIDUAL = 1e-9  # residual, over the sizes of its terms, from which two more Newton steps reach roundoff
-VERIFYING_ITERATIONS = 3  # most iterations of the package's own Newton method, which verifies the answer
-ROOTFINDER_DEFAULTS = {"max_iter": 50, "abstol": NEAR_RESIDUAL}
 # In large units of the action, pivots beside multipliers are smaller than those that QR takes for zero.
 FACTORIZATION = {"linear_solver": "qr", "linear_solver_options": NO_CUTOFF}
+REPORT = "CasADi's rootfinder"
 RESERVED_OPTIONS = "jacobian_function", "error_on_fail", "show_eval_warnings"  # options that are set here
 
 
-def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[ca.Function, ca.Function]:
-    """CasADi's Newton method as two rootfinders (guess, *data, rows) -> ξ, one after the other.
+def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> ca.Function:
+    """CasADi's Newton method (guess, *data, rows) -> ξ, until residuals are accepted, or to its limit of iterations.
 
-    The first reduces the residual to `NEAR_RESIDUAL` of the sizes of its terms, or stops at its limit of iterations;
-    two more steps from there, whatever the residual, take it to roundoff.  Neither is stopped by an error, which would
-    print all inputs and end a map over many at the first of them; an answer may be NaN, or no solution.  `rows` are
-    factors on the rows of ∇S = 0: one over the sizes of the terms that they sum.
+    It is not stopped by an error, which would print all inputs and end a map over many at the first of them; an answer
+    may be NaN, or no solution.  `rows` are factors on the rows of ∇S = 0: one over the sizes of the terms that they
+    sum.
     """
     derivatives = functional.function("derivatives")
     symbols, names = derivatives.mx_in(), derivatives.name_in()
@@ -46,19 +43,17 @@ def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[c
     symbols, names = [*symbols, rows], [*names, "rows"]
     residual = ca.Function("residual", symbols, [rows * gradient], names, ["residual"])
     scaled = [ca.mtimes(ca.diag(rows), matrix), rows * gradient]
-    factorization = {} if "linear_solver" in options else FACTORIZATION
     common = {
-        **ROOTFINDER_DEFAULTS,
-        **factorization,
+        "max_iter": SEARCH_ITERATIONS,
+        "abstol": ACCEPTED * EPS,
         "line_search": not functional.numbering.multipliers,
         "jacobian_function": ca.Function("jacobian", symbols, scaled, names, ["matrix", "residual"]),
         "show_eval_warnings": False,
         "error_on_fail": False,
         "abstolStep": 0.0,  # it is absolute, whatever the unit of x
     }
-    near = ca.rootfinder("near", "newton", residual, {**common, **options})
-    last = ca.rootfinder("last", "newton", residual, {**common, **options, "abstol": 0.0, "max_iter": 2})
-    return near, last
+    factorization = {} if "linear_solver" in options else FACTORIZATION
+    return ca.rootfinder("root", "newton", residual, {**common, **factorization, **options})
 
 
 def embeddable(functional: Functional, weights: np.ndarray) -> ca.Function:
@@ -71,12 +66,12 @@ def embeddable(functional: Functional, weights: np.ndarray) -> ca.Function:
     functional : Functional
     weights : factor on every row of ∇S = 0, one over the sizes of the terms it sums
     """
-    near, last = casadi_newton(functional, {})
     derivatives = functional.function("derivatives")
     symbols, names = derivatives.mx_in(), derivatives.name_in()
-    rows = ca.DM(weights)
-    root = last(near(*symbols, rows), *symbols[1:], rows)
-    return ca.Function("root", symbols, [root], ["guess", *names[1:]], ["unknowns"])
+    near = casadi_newton(functional, {})(*symbols, ca.DM(weights))
+    last = casadi_newton(functional, {"abstol": 0.0, "max_iter": 2})  # the weights may be those of other data
+    root = last(near, *symbols[1:], ca.DM(weights))
+    return ca.Function("embedded", symbols, [root], ["guess", *names[1:]], ["unknowns"])
 
 
 def casadi_root(
@@ -85,29 +80,16 @@ def casadi_root(
     """CasADi's Newton method, verified; arguments and failures are those of a `Solver`."""
     rows = 1 / stationarity.sizes_of_terms(guess, data)
     with stationarity.linearization() as at:
-        near, last = at.keep(
-            f"rootfinder {sorted(options.items())}", lambda: casadi_newton(stationarity.functional, options)
-        )
+        key = f"rootfinder {sorted(options.items())}"
+        solver = at.keep(key, lambda: casadi_newton(stationarity.functional, options))
         try:
             with interrupts_raised():
-                root = last(near(guess, *data, rows), *data, rows)
+                root = solver(guess, *data, rows)
         except RuntimeError as error:
             raise SolveFailure("CasADi's rootfinder met a casadi Function that fails", guess, 0) from error
-        iterations = sum(int(solver.stats()["iter_count"]) for solver in (near, last))
+        iterations = int(solver.stats()["iter_count"])
     x = np.array(root).ravel()
-    try:
-        if not np.all(np.isfinite(x)):
-            raise SolveFailure("it is not finite", guess, iterations)
-        solution = damped_newton(stationarity, x, data, verbose, VERIFYING_ITERATIONS)
-    except SolveFailure as failure:
-        raise SolveFailure(
-            f"the answer of CasADi's rootfinder could not be verified: {failure}; cg.newton has a line search and "
-            "rescues",
-            failure.unknowns,
-            iterations,
-            failure.singular,
-        ) from None
-    return replace(solution, iterations=iterations, report="CasADi's rootfinder")
+    return polished(stationarity, x, data, verbose, REPORT, iterations)
 
 
 def check_option(name: str, value: object) -> None:

@@ -23,10 +23,8 @@ from casadi_galerkin.calculus.numbers import whole
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.curve import remove_load
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.newton import SEARCH_ITERATIONS, Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
-
-RESCUE_ITERATIONS = 100  # most iterations of IPOPT where Newton's method failed; rescues were measured to take 4 to 40
 
 SolverLike: TypeAlias = Callable[[Stationarity, np.ndarray, Data, int], Solution]
 
@@ -115,7 +113,7 @@ class Solver:
 def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
     """The solvers that are tried in turn where Newton's method finds nothing from a guess, by name."""
     action = stationarity.variational
-    ipopt = partial(interior_point.critical_point, minimize=action, max_iter=RESCUE_ITERATIONS)
+    ipopt = partial(interior_point.critical_point, minimize=action, max_iter=SEARCH_ITERATIONS)
     strategies: dict[str, SolverLike] = {"IPOPT on the action" if action else "IPOPT": ipopt}
     if stationarity.functional.numbering.positions:
         strategies["taking away the load of the guess"] = remove_load

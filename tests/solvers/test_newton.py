@@ -162,7 +162,7 @@ def test_a_search_that_ends_at_a_singular_hessian_fails_without_a_warning():
         parameters=[1.0],
     )
     transcription = cg.transcribe(problem, cg.Galerkin(1), 1)
-    for angle in np.linspace(0.05, 6, 10):
+    for angle in np.linspace(0.05, 5, 10):
         near = [1 + np.cos(angle), 1 + np.sin(np.cos(angle)) + 0.01]
         with pytest.raises(cg.ConvergenceError):
             transcription.solve(guess=lambda t, near=near: near)
