@@ -41,14 +41,11 @@ from casadi_galerkin.functional.embedding import (
     variation,
 )
 from casadi_galerkin.functional.local_terms import LocalTerm
-from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
+from casadi_galerkin.functional.mapping import POINTS_IN_A_ROW, PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, Numbering, kept
 from casadi_galerkin.functional.pointwise import pointwise
 
 Parts: TypeAlias = tuple[dict[str, ca.MX], dict[str, ca.MX]]  # inputs beside the symbols, and outputs, by name
-
-# points from which `by_rows` is faster within one solve: building it takes some 25 us per instruction
-ROWS_FROM_POINTS = 1000
 
 
 class Functional:
@@ -90,7 +87,7 @@ class Functional:
         if self.pointwise.linear:
             raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
         self.symmetric = self.pointwise.symmetric and all(term.symmetric for term in terms)
-        self._mapping = by_rows if numbering.points >= ROWS_FROM_POINTS else mapping
+        self._mapping = by_rows if numbering.points >= 2 * POINTS_IN_A_ROW else mapping
         self._shared = (4,) if lagrangian.n_in() == 4 else ()  # after t, h, x and x' the parameters
         parameters = lagrangian.size1_in(3) - numbering.integrals if self._shared else 0
         self._parameters = [ca.MX.sym("parameters", parameters)] if parameters else []
@@ -240,12 +237,10 @@ class Functional:
     @cached_property
     def derivatives(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """∇²S, sparse with both halves stored, ∇S with respect to the free values ξ, and ∂²L̂/∂x'², in one pass."""
-        return *self._assembled(self._second[3:]), self._second[-1]
-
-    def _assembled(self, blocks: list[ca.MX]) -> tuple[ca.MX, ca.MX]:
         assembled = assembly(*self.pattern_key, self.pointwise.blocks)
-        matrix, gradient = assembled.call([*self._second[1:3], *blocks])
-        return matrix if self._further is None else matrix + self._further, self._with_terms(gradient)
+        matrix, gradient = assembled.call(self._second[1:])
+        matrix = matrix if self._further is None else matrix + self._further
+        return matrix, self._with_terms(gradient), self._second[-1]
 
     @cached_property
     def _further(self) -> ca.MX | None:

@@ -28,8 +28,9 @@ from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearizatio
 
 NEWTON = "Newton"  # its report
 QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it needs no line search
-SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
-STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
+CONTRACTION = (
+    0.1  # a full step is taken if the next one is shorter by this factor; with 0.25 long ones led to other paths
+)
 SMALLEST_DAMPING = EPS**0.5
 POLISHING = 20  # most iterations from where another search stopped; with more it wanders, 4 times as long
 SEARCH_ITERATIONS = (
@@ -159,13 +160,13 @@ def _monotone_step(
 ) -> tuple[Iterate, float, float]:
     """The next iterate by natural monotonicity, its damping, and the one to begin with next.
 
-    A short full step is accepted at once if the next one is much shorter, which needs no solution beyond the next
-    iteration's own.  Where steps are long or shrink by less, full ones were measured to jump to other paths.
+    A full step is accepted at once if the next one is much shorter, which needs no solution beyond the next iteration's
+    own.  Where steps shrink by less, full ones were measured to jump to other paths.
     """
     whole = None
-    if damping == 1.0 and (at.norm < SHORT or iteration == 1):
+    if damping == 1.0:
         whole = linear.newton_step(at.unknowns + at.step, data)
-        if _contracts(at.norm, whole.norm):
+        if whole.norm <= CONTRACTION * at.norm or (at.norm < QUADRATIC and math.isfinite(whole.norm)):
             return whole, 1.0, 1.0
         linear.return_to(at)
     x, simplified, damping = _line_search(linear, at, damping, data, iteration)
@@ -184,13 +185,6 @@ def _free_step(
     longest = (at.length or at.step_length) if iteration == 1 else longest
     damping = min(1.0, longest / max(at.step_length, TINY))
     return linear.newton_step(at.unknowns + damping * at.step, data), damping, longest
-
-
-def _contracts(norm: float, then: float) -> bool:
-    """Whether a full step is accepted for the length of the next one, without a line search."""
-    if norm < QUADRATIC:
-        return math.isfinite(then)
-    return then <= norm * (CONTRACTION if norm < SHORT else STRONG_CONTRACTION)
 
 
 def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
