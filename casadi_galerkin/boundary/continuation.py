@@ -22,6 +22,7 @@ from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import numbers, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.legendre_transform import singular_mass
@@ -41,17 +42,14 @@ PARAMETERS_PLACE = 3  # their place among the data
 FIRST_BRANCH_STEP = 0.05  # arc length, in which the path is relative to how far the branch has led
 # a shorter step may pass what is no simple branch point, instead of having jumped to a branch nearby
 CROSSING_STEP = 1e-3
-CONVERGED_STEP = 1e-8  # last Newton step after which the next one is at roundoff
-# |ṡ| at a fold over its change between the points before and after it; the error of s is of the order of its square
-FOLD_TOLERANCE = 1e-8
-# least change of an unknown that counts: over its size, so that rounding leaves steps of CONVERGED_STEP, and over the
-# largest expected change, because a component may be zero up to rounding
-LEAST_CHANGE_OF_SIZE, LEAST_CHANGE_OF_LARGEST = 1e-5, 1e-7
-ZERO_UNKNOWN = 1e-12  # size of an unknown over its expected change, below which it counts as zero
+# last Newton step after which the next one is at roundoff; |ṡ| at a fold over its change between the points around it,
+# where the error of s is of the order of the square
+ACCURACY = EPS**0.5
+# least change of an unknown that counts, over its size and over the largest change: rounding then leaves steps of
+# EPS^(2/3), below ACCURACY; and distance over the sizes of paths below which branch points are one
+LEAST_CHANGE = EPS ** (1 / 3)
 # most iterations for a fold, whose tolerance rounding may prevent, or for a path, which may be zero
 FOLD_ITERATIONS = 20
-# distance over the sizes of paths below which branch points are one: each is known up to rounding
-SAME_BRANCH_POINT = 1e-5
 # truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
 UNRESOLVED_FOLDS = 0.01
 # unknowns from which no determinant is computed, 0.1 s each: without an index no branch point is seen
@@ -200,7 +198,7 @@ class Node:
 class BranchFollower(Curve[PathPoint]):
     """The state of a continuation along the branches of a problem."""
 
-    tolerance, least_cosine, smallest_step, longest_step = CONVERGED_STEP, 0.95, 1e-12, 0.1
+    tolerance, least_cosine, smallest_step, longest_step = ACCURACY, 0.95, 1e-12, 0.1
     advance: Advance
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
@@ -226,7 +224,7 @@ class BranchFollower(Curve[PathPoint]):
         """The path of a point z of the curve, verified; None where that moves it."""
         with suppress(SolveFailure):
             found = damped_newton(self.stationarity, z[:-1], self.data(z[-1]), max_iter=FOLD_ITERATIONS)
-            return found if self.length(np.append(found.unknowns - z[:-1], 0.0)) < CONVERGED_STEP else None
+            return found if self.length(np.append(found.unknowns - z[:-1], 0.0)) < ACCURACY else None
         return None
 
     def path(self, z: np.ndarray) -> Path:
@@ -246,9 +244,7 @@ class BranchFollower(Curve[PathPoint]):
             )
         size, change = np.abs(z[:-1]), np.abs(follow)
         self._lowest = self._highest = z[:-1]
-        self._expected = np.where(
-            size > ZERO_UNKNOWN * change, size, change
-        )  # the rate may be zero, or large near a fold
+        self._expected = np.where(size > ACCURACY * change, size, change)  # the rate may be zero, or large near a fold
         point = self.point(z, np.append(follow, 1.0), start)
         assert point.trajectory is not None
         if unresolved := point.trajectory._unresolved(UNRESOLVED_FOLDS):
@@ -263,14 +259,10 @@ class BranchFollower(Curve[PathPoint]):
         was expected at first counts less and less.
         """
         self._lowest, self._highest = np.minimum(self._lowest, z[:-1]), np.maximum(self._highest, z[:-1])
-        changes = np.maximum.reduce(
-            (self._highest - self._lowest, self._expected, LEAST_CHANGE_OF_SIZE * np.abs(z[:-1]))
-        )
+        changes = np.maximum.reduce((self._highest - self._lowest, self._expected, LEAST_CHANGE * np.abs(z[:-1])))
         largest = np.max(changes[: self.transcription.numbering.positions], initial=0.0)
         start, end, *further = self.data(z[-1])
-        sizes = self.stationarity.sizes(
-            np.maximum(changes, LEAST_CHANGE_OF_LARGEST * largest), (0 * start, 0 * end, *further)
-        )
+        sizes = self.stationarity.sizes(np.maximum(changes, LEAST_CHANGE * largest), (0 * start, 0 * end, *further))
         self.weights[:-1] = 1 / (len(sizes) * sizes**2)
         self._expected = self._expected / 2
 
@@ -329,7 +321,7 @@ class BranchFollower(Curve[PathPoint]):
         """Find the zero of ṡ between two points, by the secant and bisection on the chord between them."""
         tangent = self.unit(before.tangent)
         ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
-        level = FOLD_TOLERANCE * abs(rates[0] - rates[1])
+        level = ACCURACY * abs(rates[0] - rates[1])
         for iteration in range(FOLD_ITERATIONS):
             if min(map(abs, rates)) < level:
                 break
@@ -396,9 +388,7 @@ class BranchFollower(Curve[PathPoint]):
         for node in self.nodes:
             apart = np.abs(crossing.z - node.z)[: self.transcription.numbering.positions]
             sizes = np.abs(node.z) + (0.0 if node.other is None else np.abs(node.other))
-            if abs(crossing.z[-1] - node.z[-1]) < SAME_BRANCH_POINT and np.max(apart) < SAME_BRANCH_POINT * np.max(
-                sizes
-            ):
+            if abs(crossing.z[-1] - node.z[-1]) < LEAST_CHANGE and np.max(apart) < LEAST_CHANGE * np.max(sizes):
                 crossed.append(replace(node.found, after=after))
                 lines = [
                     0.0 if line is None else abs(self.cosine(tangent, self.unit(line)))

@@ -28,7 +28,7 @@ from typing import Generic, NamedTuple, TypeVar
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
+from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.newton import POLISHING, Solution, SolveFailure, damped_newton
@@ -191,20 +191,19 @@ class Curve(Generic[At]):
         A change that is odd where y is not, or even, does not show in that, but in yᵀ∂F/∂ξ |y|.  It is infinite where
         neither changes, as along a family of paths.
         """
-        factor, data, others = 1.0, self.data(z[-1]), (null, np.abs(null))
+        data = self.data(z[-1])
         with self.stationarity.linearization() as at:
 
-            def forms(unknowns: np.ndarray) -> np.ndarray:
-                return np.array([at.evaluate("curvature", unknowns, data, null, other) for other in others])[:, :, 0]
+            def forms(factor: float) -> np.ndarray:
+                moved, others = z[:-1] + factor * null, (null, np.abs(null))
+                return np.array([at.evaluate("curvature", moved, data, null, other) for other in others])[:, :, 0].T
 
-            here = forms(z[:-1])[:, 0]
-            for _ in range(int(-np.log2(EPS))):
-                signed, positive = forms(z[:-1] + factor * null).T
-                part = float(np.max(np.abs(signed - here) / np.maximum(positive, TINY)))
-                if 0.05 < part < 0.2:
-                    return factor
-                factor *= float(np.clip(np.sqrt(0.1 / max(part, TINY)), 0.25, 4.0)) if np.isfinite(part) else 0.25
-        return factor if part > 0.1 else np.inf
+            here = forms(0.0)[0]
+            for factor in 2.0 ** np.arange(np.log2(EPS), -np.log2(EPS)):
+                signed, positive = forms(factor)
+                if np.any(np.abs(signed - here) > positive / 10):
+                    return float(factor)
+        return np.inf
 
     def orientation(self, z: np.ndarray, tangent: np.ndarray) -> float:
         """Sign of the determinant of J with the tangent as last row: along the curve it changes at branch points."""
