@@ -55,7 +55,7 @@ from casadi_galerkin.calculus.mesh_adaptation import (
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.solution.error_indicators import scaled_indicators
+from casadi_galerkin.solution.error_indicators import FRACTIONS, error_indicators
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, joined_by_lines
 from casadi_galerkin.solution.limits import Limits
@@ -141,8 +141,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
         self.check_time()
         error = math.hypot(error, floor)
         self.roundoff_level = FLOOR_FACTOR * max(floor, EPS * np.max(np.abs(path.mesh)) / np.ptp(path.mesh))
-        indicators = scaled_indicators(level.motion, path, level.momentum)
-        source, indicator = max(indicators.items(), key=lambda item: float(np.max(item[1])))
+        shown = zip(FRACTIONS, error_indicators(level.motion, path, level.momentum), strict=True)
+        scaled = {name: indicator / FRACTIONS[name] for name, indicator in shown}
+        source, indicator = max(scaled.items(), key=lambda item: float(np.max(item[1])))
         if np.max(indicator) > self.tol:
             parts = partial(parts_wanted, indicator, 1)  # at a kink it falls in proportion to the step
             return Estimate(float(np.max(indicator)), False, source, parts)
@@ -241,16 +242,30 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Find a first path by one of several strategies, and refine it; an array as guess is one on this mesh.
 
+        Where the straight line leads through a pole, as of a collision, the search for other paths follows at once.
         A path that is far from a guess is reported as such.
         """
         guess = self.on_any_mesh(guess, mesh)
         given = guess_on_resolving_mesh(self.graphs, self.method, guess, mesh, COARSE_RESOLUTION)
         strategies = first_path_strategies(self.graphs, self.method, guess, given, self.solver, self.intermediate_path)
-        path = self.by_the_first(strategies, None if guess is None else given)
+        try:
+            path = self.by_the_first(strategies, None if guess is None else given)
+        except LimitReached as limit:
+            if guess is not None or self.out_of_time() or not self.at_pole(self.best[0]):
+                raise
+            try:  # with what is left of the strategies
+                path = self.by_the_first(((name, find) for name, find in strategies if name == RANDOM), None)
+            except ConvergenceError:
+                raise limit from None
         distance = 0.0 if guess is None else distance_from_guess(given, path.polynomial)
         if distance <= FAR_FROM_GUESS:
             return path
         return path.amended(solver=f"{path.solver}; up to {distance:.2g} of the guess's size away from the guess")
+
+    def at_pole(self, level: CriticalPoint) -> bool:
+        """Whether a path leads through a pole of L, which other paths avoid."""
+        _, misfit, _ = error_indicators(level.motion, level.polynomial, level.momentum)
+        return bool(np.any(misfit))
 
     def by_the_first(self, strategies: Iterable[Strategy], guess: PiecewisePolynomial | None) -> Trajectory:
         """Refine the path of the first strategy that leads to one.

@@ -42,11 +42,11 @@ from casadi_galerkin.problems.legendre_transform import scaled_masses
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.jump_detection import JumpDetector
 
-# fraction of the tolerance that the energy imbalance may have; smooth paths were measured below 0.25
-ENERGY_FRACTION = 0.3
+# the indicators by name, with the fraction of the tolerance that each may have: energy imbalances of smooth paths were
+# measured below 0.25
+FRACTIONS = {"balance of energy": 0.3, "Lagrangian between points": 1.0, "force": 0.1}
 # accepted misfit of L between points, over its size; at a pole it is larger, at all degrees to 14
 LAGRANGIAN_MISFIT = 0.05
-FORCE_JUMP_FRACTION = 0.1  # fraction of the tolerance that changes of a momentum by jumps of a force may have
 STEP_RATIO = 2.0  # change along an interval, over what derivatives explain, above which L or ∂L/∂x steps there
 # how far places reach beyond a joint, over the distance of the nearest quadrature point from it
 REACH_BEYOND_JOINTS = 1e-3
@@ -73,16 +73,6 @@ def energy_imbalance(conserved: np.ndarray, scale: np.ndarray, floor: np.ndarray
     gaps = np.maximum(np.maximum.accumulate(least) - most, least - np.minimum.accumulate(most))
     change = np.abs(np.diff(conserved))
     return max(float(np.max(gaps / scale[order])), 0.0) * change / max(float(np.max(change)), TINY)
-
-
-def scaled_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> dict[str, np.ndarray]:
-    """The error indicators by name, each over its fraction of the tolerance; arguments as for `error_indicators`."""
-    balance, unresolved, jumps = error_indicators(problem, path, momentum)
-    return {
-        "balance of energy": balance / ENERGY_FRACTION,
-        "Lagrangian between points": unresolved,
-        "force": jumps / FORCE_JUMP_FRACTION,
-    }
 
 
 def error_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, ...]:
