@@ -34,6 +34,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem as Boundar
 from casadi_galerkin.problems.control_problem import ControlProblem as ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem as InitialProblem
 from casadi_galerkin.problems.phases import Phases as Phases
+from casadi_galerkin.problems.tables import table as table
 from casadi_galerkin.solution.control_path import ControlPath as ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory as ControlTrajectory
 from casadi_galerkin.solution.errors import ConjugatePointError as ConjugatePointError

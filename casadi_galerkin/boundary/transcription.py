@@ -28,6 +28,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
 from casadi_galerkin.problems.problem import VARIED
+from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
@@ -146,7 +147,11 @@ class Transcription(BoundaryGraph):
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         solution, problem, path = point.solution, point.problem, point.polynomial
         refuse_undefined(self.functional, solution, path)
-        wrong = turned_back(problem, path, self.plane_in(solution.data)) or off_constraint(problem, path)
+        wrong = (
+            turned_back(problem, path, self.plane_in(solution.data))
+            or off_constraint(problem, path)
+            or off_tables(problem, path)
+        )
         if wrong is not None:
             raise ConvergenceError(wrong, Path(path), solution.residual, solution.iterations)
         self.refuse_conjugate(point)

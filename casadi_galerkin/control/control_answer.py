@@ -21,6 +21,7 @@ from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.phases import CONTINUITY, Joins, Phases
+from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -74,7 +75,7 @@ def answer(
         controls = np.concatenate(values["controls"]).T
         control = ControlPath(joints, chain.control_times, controls, rule, phase.control_bounds)
         for reason, residual in (
-            (off_constraint(solved, path), solve["residual"]),
+            (off_constraint(solved, path) or off_tables(solved, path, control), solve["residual"]),
             (undefined(phase, path, control, parameters), math.inf),
         ):
             if reason is not None:

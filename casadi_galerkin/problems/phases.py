@@ -205,7 +205,7 @@ class Phases:
     ...         force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
     >>> bounce = cg.Phases([fall(0, 1.0, 0.0), fall(1, None, 2.0)], links=[lambda x, v: (x, -v)])
     >>> path = cg.solve(bounce, cg.Galerkin(3), 2)
-    >>> round(path.cost, 6), path([0.0, 1.0, 2.0]).round(6).tolist(), len(path.phases)
+    >>> round(path.cost, 6), (path([0.0, 1.0, 2.0]).round(6) + 0.0).tolist(), len(path.phases)
     (0.75, [[1.0, 0.0, 2.0]], 2)
     """
 

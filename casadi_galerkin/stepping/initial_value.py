@@ -17,6 +17,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
@@ -131,7 +132,7 @@ def trajectory(
 ) -> Trajectory:
     """Wrap verified steps as an answer; there is no Hessian of the whole action, so no Morse index."""
     path = path_of(roll, stepper, len(roll.mesh) - 1)
-    off = off_constraint(problem, path)
+    off = off_constraint(problem, path) or off_tables(problem, path)
     if off is not None:
         raise ConvergenceError(off, Path(path), float(roll.residual.max()), iterations)
     return Trajectory(
