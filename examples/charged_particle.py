@@ -49,4 +49,5 @@ if __name__ == "__main__":
     print(answer)
     print(f"  speed       {np.linalg.norm(answer.velocity[:, 0]):.15f} c at the start, exact {SPEED}")
     print(f"  error       {np.max(np.abs(answer(times) - exact(times))):.1e} between the joints, largest")
+    print(cg.geometry(answer, symmetry=lambda x: [-x[1], x[0]]))  # the canonical angular momentum is kept
     draw(answer).savefig("charged_particle.png")

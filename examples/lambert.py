@@ -1,5 +1,8 @@
 """A Lambert transfer in kilometers and seconds: the flight between two positions in a given time.
 
+What a mission asks for are the two velocities: they are solved for until they are known to ten digits, and their error
+is printed.
+
 Vallado, "Fundamentals of Astrodynamics and Applications", 4th edition, example 5.7.  Nothing is rescaled:
 the solver does not see the units.
 """
@@ -20,10 +23,15 @@ def lagrangian(t, x, v):
     return ca.dot(v, v) / 2 + MU / ca.norm_2(x)
 
 
+def launch_and_arrival(path):
+    """Velocities at both ends, km/s."""
+    return path.velocity[:, [0, -1]]
+
+
 def main():
     """Solve from the straight line between both positions."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, FLIGHT), START, END)
-    return cg.solve(problem, cg.Galerkin(degree=6), intervals=20)
+    return cg.solve(problem, tol=1e-10, of=launch_and_arrival)
 
 
 def draw(path):
@@ -44,5 +52,6 @@ if __name__ == "__main__":
     print(answer)
     print("  velocity    ", answer.velocity[:, 0], "km/s at the start, published (2.058913, 2.915965, 0)")
     print("              ", answer.velocity[:, -1], "km/s at the end, published (-3.451565, 0.910315, 0)")
+    print(f"               both known to {answer.asked_error:.0e} of the larger")
     answer.to_csv("lambert.csv")  # times, positions, velocities, momenta and energy
     draw(answer).savefig("lambert.png")

@@ -41,6 +41,7 @@ def momentum_at(lagrangian: ca.Function, t: ca.SX, x: ca.SX, v: ca.SX, *paramete
     return ca.substitute(momentum, symbol, ca.densify(v))
 
 
+@np.errstate(invalid="ignore")  # masses may be infinite
 def scaled_masses(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mass matrices (..., d, d) scaled so that units do not matter, and the scales that they were divided by.
 

@@ -223,6 +223,8 @@ class Refinement(ABC, Generic[Level, Detail]):
         Where times are so far from zero that their rounding may be the cause, it says so.
         """
         path = self.answer(level, error if self.asked is None else self.asked.error_estimate)
+        if self.of is not None:
+            error = np.inf if self.asked is None else self.asked.asked_error or 0.0
         latest, duration = float(np.max(np.abs(path.t))), float(np.ptp(path.t))
         if latest > duration and EPS * latest > self.tol * duration:
             hint = f"Times near {latest:.1e} are rounded by {EPS * latest:.0e}: count them from the start"

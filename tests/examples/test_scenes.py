@@ -17,6 +17,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -76,6 +77,35 @@ def vallados_velocities(module, path):
     np.testing.assert_allclose(path.velocity[:, 0], [2.058913, 2.915965, 0], rtol=0, atol=1.2e-6)
     np.testing.assert_allclose(path.velocity[:, -1], [-3.451565, 0.910315, 0], rtol=0, atol=1.2e-6)
     assert path.morse_index == 0
+    assert path.asked_error <= 1e-10
+
+
+def slope_as_published(module, path):
+    assert path.asked == pytest.approx(module.SLOPE, rel=1e-11)
+    assert path.asked_error <= 1e-10 < path.error_estimate
+    near = lambda t, x, v: v[0] ** 2 / 2 + 0.4 * ca.fmax(x[0], 0) ** 2.5 / ca.sqrt(t)  # noqa: E731
+    singular = cg.BoundaryProblem(near, (0.0, 100.0), [1.0], [144e-6])
+    with pytest.raises(cg.LimitReached, match=r"tolerance 1e-06 was not reached") as caught:
+        cg.solve(singular, tol=1e-6, of=module.slope, guess=lambda t: [1 / (1 + t) ** 2])
+    assert abs(caught.value.path.asked / module.SLOPE - 1) <= caught.value.path.asked_error
+
+
+def weight_found_again(module, found):
+    weight, path = found
+    assert weight == pytest.approx(module.WEIGHT, rel=1e-6)
+    times = np.linspace(0, 1, 9)
+    np.testing.assert_allclose(path(times)[0], module.observed(times), rtol=0, atol=1e-6)
+    difference = (module.observed(0.5, weight + 0.1) - module.observed(0.5, weight - 0.1)) / 0.2
+    assert cg.sensitivity(path).x["parameters"][0, 4, 0] == pytest.approx(difference, rel=1e-5)
+
+
+def spin_in_the_field(module, path):
+    kept = cg.geometry(path, symmetry=lambda x: [-x[1], x[0]])
+    assert kept.symmetry_defect < 1e-14
+    # m γ r v less the flux through the circle, q B r²/2
+    radius = module.GAMMA * module.SPEED
+    exact = -module.GAMMA * module.SPEED * radius + radius**2 / 2
+    np.testing.assert_allclose(kept.momentum_map, exact, rtol=1e-9, atol=0)
 
 
 def keplers_invariants(module, path):
@@ -870,6 +900,9 @@ TABLE = [
     ("pendulum", swing_of_index(2, 1.3287479250456, 8.853960793439), "the pendulum has a path of Morse index 2"),
     ("catenoid", two_films, "near its critical height the catenoid has a stable and an unstable film"),
     ("great_circle", length_of_the_arc, "the great circle has the length of the arc"),
+    ("charged_particle", spin_in_the_field, "the canonical angular momentum of the charge is kept"),
+    ("thomas_fermi", slope_as_published, "the potential of Thomas and Fermi falls as published, or is refused"),
+    ("inverse_optimal_control", weight_found_again, "the cost of an observed motion is found again"),
     ("charged_particle", circle_at_constant_speed, "a relativistic particle runs on a circle at constant speed"),
     ("brachistochrone", time_of_the_cycloid, "the brachistochrone takes the time of the cycloid"),
     ("calculus", functional_by_hand, "the functional by hand is that of the graph"),
