@@ -237,9 +237,9 @@ def sweep(
     of : the quantity that `tol` is the tolerance of, as for `solve`; with an executor or a file a module's function
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: the solves of one process run one after the other
-    file : name of a file in which answers are kept while they come, chunk by chunk, some 64 in all; the same call finds
-        them there, and solves only what is left.  Each process needs a file of its own.  It is a pickle: open none that
-        you do not trust
+    file : name of a file in which answers are kept chunk by chunk while they come, in up to 64 chunks, or, with a
+        tolerance, about √n: the same call finds them there, and solves only what is left.  Two sweeps that run at once
+        need two files.  It holds pickles: open none that you do not trust
 
     Returns
     -------
