@@ -7,7 +7,7 @@ refinement of `solve` continues from there.
 An earlier path is more than a guess, because the problem that it solves is known.  Its node values are taken unchanged,
 except for the new ends: then the first Newton step is the tangent of the family of paths.  With a path that was bent to
 meet the new ends, Newton's method was measured to need up to twice the iterations, or to fail.  Where it does not
-converge in one step, ends, times and parameters are moved in several steps (continuation).
+converge in one step, the curve of paths to the new ends, times and parameters is followed.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.neighboring_problems import ends_replaced, interpolated_problem, same_statement
+from casadi_galerkin.boundary.neighboring_problems import ends_replaced, same_statement
 from casadi_galerkin.boundary.transcription import GraphCache, check_given
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
@@ -33,10 +34,9 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.curve import LoadedCurve
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.solver import Solver, newton
-
-DATA_STEPS = 1, 2, 4, 8  # numbers of steps in which the data of one path are moved to those of another
 
 
 class AdaptiveTranscription:
@@ -162,14 +162,17 @@ class AdaptiveTranscription:
         return refinement.run(coarse, guess)
 
     def _followed(self, refinement: BoundaryRefinement, known: Trajectory) -> Trajectory:
-        """The path that continues a known one of other given values, if possible without passing a conjugate point.
+        """The path that continues a known one of other given values, on the mesh of that.
 
-        On the mesh of the known path, both are compared by the numbers of negative eigenvalues of their Hessians.
-        Another number may be that of another branch, so that smaller steps are tried.  If the smallest steps give it as
-        well, the continuation has passed a conjugate point, and the path is returned.
+        Both are compared by the numbers of negative eigenvalues of their Hessians.  Another number may be that of
+        another branch, so that the curve of paths between both values is followed.
         """
         assert isinstance(known.problem, BoundaryProblem)
-        graphs = refinement.graphs
+        graphs, path = refinement.graphs, known.polynomial.at(self.method.element.nodes)
+        mesh = map_times(known.t, section_times(known.problem), section_times(graphs.problem))
+
+        def solved(values: np.ndarray) -> CriticalPoint:
+            return graphs.solve(self.method, mesh, values, refinement.local_solver)
 
         def index(problem: BoundaryProblem, path: PiecewisePolynomial) -> int | None:
             if path not in self._indices:
@@ -177,33 +180,24 @@ class AdaptiveTranscription:
                 self._indices[path] = negative_eigenvalues(graph.stationarity, *graph.on_path(path))
             return self._indices[path]
 
-        known_index = index(known.problem, known.polynomial)
-        *fewer, most = (
-            DATA_STEPS[:1] if graphs.problem.constraint else DATA_STEPS
-        )  # on the way ends may violate the constraint
-        for steps in fewer:
-            try:
-                point = self._moved(refinement, known, steps)
-                if index(point.problem, point.polynomial) == known_index:
-                    return refinement.resume(point)
-            except LimitReached:
-                raise
-            except ConvergenceError:
-                continue
-        return refinement.resume(self._moved(refinement, known, most))
-
-    def _moved(self, refinement: BoundaryRefinement, known: Trajectory, steps: int) -> CriticalPoint:
-        """Move the given values of a known path in so many steps, on its mesh."""
-        graphs, path = refinement.graphs, known.polynomial.at(self.method.element.nodes)
-        assert isinstance(known.problem, BoundaryProblem)
-        for step in range(1, steps + 1):
-            problem = (
-                graphs.problem if step == steps else interpolated_problem(known.problem, graphs.problem, step / steps)
-            )
-            mesh = map_times(known.t, section_times(known.problem), section_times(problem))
-            point = graphs.solve(self.method, mesh, ends_replaced(path, problem), refinement.local_solver, problem)
-            path = point.polynomial.values
-        return point
+        lost: ConvergenceError | None = None
+        try:
+            point = solved(ends_replaced(path, graphs.problem))
+            if index(point.problem, point.polynomial) == index(known.problem, known.polynomial):
+                return refinement.resume(point)
+        except LimitReached:
+            raise
+        except ConvergenceError as failure:
+            lost = failure
+        graph = graphs.transcription(self.method, mesh)
+        unknowns, before = graph.for_problem(known.problem).on_path(known.polynomial)
+        data = graph.data(mesh, graph.plane(known.polynomial))
+        begun, sizes = np.append(unknowns, 1.0), graph.stationarity.sizes(unknowns, before)
+        for guess in LoadedCurve(graph.stationarity, data, begun, sizes, target=before).unloaded_points(-1.0):
+            return refinement.resume(solved(graph.emb(guess, data).values))
+        if lost is not None:
+            raise lost
+        return refinement.resume(point)
 
     def __repr__(self) -> str:
         """Say what was built, and what mesh is kept."""

@@ -42,20 +42,6 @@ def data_vector(problem: Problem) -> np.ndarray:
     return np.array([*problem.t_span, *(a for a in chain(*_given(problem).values()) if a is not None)])
 
 
-def interpolated_problem(one: BoundaryProblem, other: BoundaryProblem, fraction: float) -> BoundaryProblem:
-    """The problem with given values interpolated linearly between those of two problems; `fraction` is 0 at `one`."""
-    start, end = ((1 - fraction) * a + fraction * b for a, b in zip(one.t_span, other.t_span, strict=True))
-    before, after = _given(one), _given(other)
-    changes: dict[str, object] = {}
-    for name, values in after.items():
-        mixed = [
-            None if a is None or b is None else (1 - fraction) * a + fraction * b
-            for a, b in zip(before[name], values, strict=True)
-        ]
-        changes[name] = mixed[0] if name == "energy" else mixed
-    return other.varied(changes, (start, end))
-
-
 def ends_replaced(values: np.ndarray, problem: BoundaryProblem) -> np.ndarray:
     """Node values (d, N m + 1) of a path with the ends of another problem, and nothing else changed."""
     moved, ends = values.copy(), problem.given_positions.T

@@ -201,7 +201,7 @@ class Search:
             self.load = self.unknowns(self.smooth()) / self.sizes**2
         self.curves += 1
         values, report = self.start.polynomial.values, f"Newton, along a load from action {self.start.action:.6g}"
-        curve = LoadedCurve(self.stationarity, self.data, self.load, np.append(self.begun, 0.0), self.sizes)
+        curve = LoadedCurve(self.stationarity, self.data, np.append(self.begun, 0.0), self.sizes, self.load)
         for solution in curve.stationary_paths(-1.0 if again else 1.0, report):
             if self.same(self.values(solution.unknowns), values):
                 return  # the curve is closed

@@ -19,10 +19,10 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, s
 from casadi_galerkin.calculus.roundoff import TINY
 
 MOST_PARTS_OF_AN_INTERVAL = 32.0  # an interval is split into at most this many at once
-MOST_MERGED_INTERVALS = 4.0  # at most this many intervals are merged at once
-NEIGHBOR_RATIO = 8.0  # largest ratio of densities of neighboring intervals of a new mesh, unless `finest` is in the way
+MOST_MERGED_INTERVALS = 4.0  # at most this many are merged at once; a mesh that has fewer times what it needs is kept
+# largest ratio of densities of neighboring intervals of a new mesh, unless one would be split into more parts
+NEIGHBOR_RATIO = 8.0
 FEWEST = 4  # least number of intervals of a new mesh
-COARSENING_FACTOR = 3.0  # a mesh keeps its number of intervals unless it has so many times more than it needs
 LEAST_INTERVALS_GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
 LOW_DEGREE = 8  # below this degree errors are estimated with four degrees more, from it on with two more
 RESOLVING_MESHES = 10  # most meshes that are tried until one resolves a function
@@ -125,7 +125,6 @@ def parts_wanted(error: np.ndarray, order: int | np.ndarray, tol: float) -> np.n
 def equidistributed(
     mesh: np.ndarray,
     parts: np.ndarray,
-    finest: float = MOST_PARTS_OF_AN_INTERVAL,
     fewest: int = FEWEST,
     breakpoints: tuple[float, ...] = (),
 ) -> np.ndarray:
@@ -135,7 +134,6 @@ def equidistributed(
     ----------
     mesh : (N + 1,)
     parts : (N,), numbers of parts into which intervals are to be split; where below one, they are joined
-    finest : largest number of intervals that one is split into
     fewest : least number of intervals of the new mesh
     breakpoints : increasing times inside that are joints
 
@@ -143,17 +141,17 @@ def equidistributed(
     -------
     (N' + 1,) joints with the same ends; N' = N where that is about enough, so that no graph has to be rebuilt
     """
-    density = np.clip(parts, 1 / MOST_MERGED_INTERVALS, finest) / np.diff(mesh)
+    density = np.clip(parts, 1 / MOST_MERGED_INTERVALS, MOST_PARTS_OF_AN_INTERVAL) / np.diff(mesh)
     for i in range(1, len(density)):
         density[i] = max(density[i], density[i - 1] / NEIGHBOR_RATIO)
     for i in range(len(density) - 2, -1, -1):
         density[i] = max(density[i], density[i + 1] / NEIGHBOR_RATIO)
-    density = np.minimum(density, finest / np.diff(mesh))
+    density = np.minimum(density, MOST_PARTS_OF_AN_INTERVAL / np.diff(mesh))
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
     edges = np.interp([mesh[0], *breakpoints, mesh[-1]], mesh, cumulated)
     count = max(fewest, int(np.ceil(np.diff(edges)).sum()))
     before = len(mesh) - 1
-    if before / COARSENING_FACTOR < count <= before:
+    if before / MOST_MERGED_INTERVALS < count <= before:
         count = before
     elif count > before:
         count = max(count, int(np.ceil(LEAST_INTERVALS_GROWTH * before)))

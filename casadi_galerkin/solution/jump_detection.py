@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
+from casadi_galerkin.calculus.roundoff import EPS
 
-JOINT_MARGIN = 1e-9  # part of an interval beside a joint that is left out, because a jump there is one at the joint
+JOINT_MARGIN = EPS**0.5  # part of an interval beside a joint that is left out, because a jump there is one at the joint
 RATE_RULE = gauss(4)  # rule for df/dt over a part
 
 

@@ -42,7 +42,7 @@ LOAD_COSINE, LOAD_STEPS = 0.7, 300
 FIRST_LOAD_STEP, FARTHEST_LOAD = 0.1, 1e3  # arc lengths along a curve of loads, in sizes of the path it begins at
 CURVE_TOLERANCE = 0.02  # last Newton step over the arc step, where the points of a curve are not asked for
 # |<ψ F_zz, (t, t')>| over the largest second derivative, below which a branch point is not simple
-SIMPLE_BRANCH_POINT = 1e-6
+SIMPLE_BRANCH_POINT = EPS**0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,19 +280,26 @@ class Curve(Generic[At]):
 
 
 class LoadedCurve(Curve[Point]):
-    """The curve of paths that a fraction s of a load holds in place, through one of them; it meets paths where s = 0.
+    """The curve of paths under a fraction s of a load or of a change of the data; it meets paths of the data at s = 0.
 
     Parameters
     ----------
-    stationarity, data, load : as of `Curve`
+    stationarity, data : as of `Curve`
     z : a point of the curve
     sizes : (n,), what the unknowns are measured by
+    load, target : one of both, as of `Curve`
     """
 
     def __init__(
-        self, stationarity: Stationarity, data: Data, load: np.ndarray, z: np.ndarray, sizes: np.ndarray
+        self,
+        stationarity: Stationarity,
+        data: Data,
+        z: np.ndarray,
+        sizes: np.ndarray,
+        load: np.ndarray | None = None,
+        target: Data | None = None,
     ) -> None:
-        super().__init__(stationarity, data, load=load)
+        super().__init__(stationarity, data, target, load)
         with np.errstate(over="ignore"):
             self.weights = np.append(1 / (len(sizes) * sizes**2), 0.0)
         self.start, self.follow = z, np.append(self.directions(z)[1], 1.0)
@@ -323,7 +330,7 @@ def residual_load_curve(stationarity: Stationarity, unknowns: np.ndarray, data: 
     """The curve through a path under the load that holds it in place, at s = 1."""
     with stationarity.linearization() as at:
         load = at.relinearize(unknowns, data)
-    return LoadedCurve(stationarity, data, load, np.append(unknowns, 1.0), stationarity.sizes(unknowns, data))
+    return LoadedCurve(stationarity, data, np.append(unknowns, 1.0), stationarity.sizes(unknowns, data), load)
 
 
 def remove_load(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:  # noqa: ARG001

@@ -277,7 +277,7 @@ def test_a_load_leads_from_one_catenoid_to_the_other_and_back(load):
     narrow = transcription.critical_point(guess=lambda t: [0.235 * np.cosh(t / 0.235)])
     unknowns, data = wide.solution.unknowns, wide.solution.data
     ones = np.ones(len(unknowns))
-    curve = LoadedCurve(transcription.stationarity, data, load * ones, np.append(unknowns, 0.0), ones)
+    curve = LoadedCurve(transcription.stationarity, data, np.append(unknowns, 0.0), ones, load * ones)
     ends = [list(curve.unloaded_points(side)) for side in (1.0, -1.0)]
     met = [guess for crossings in ends for guess in crossings[:1]]
     assert min(np.max(np.abs(guess - narrow.solution.unknowns)) for guess in met) < 0.1
