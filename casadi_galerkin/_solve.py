@@ -58,12 +58,14 @@ def solve(
 @overload
 def solve(
     problem: Phases,
-    method: Galerkin,
+    method: Galerkin | None = None,
     intervals: int | None = None,
     *,
+    tol: float | None = None,
     mesh: ArrayLike | None = None,
     guess: Any = None,
     solver: Solver | None = None,
+    limits: Limits | None = None,
     verbose: int = 0,
 ) -> PhasesTrajectory: ...
 
@@ -120,7 +122,7 @@ def solve(
 
     Parameters
     ----------
-    problem : BoundaryProblem, InitialProblem, ControlProblem or Phases; these are solved with a method and intervals
+    problem : BoundaryProblem, InitialProblem, ControlProblem or Phases
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
@@ -193,14 +195,13 @@ def solve(
             return best_of(starts, graph.problem, guess, partial(graph.solve, solver=solver, verbose=verbose))
         return graph.solve(guess=guess, solver=solver, verbose=verbose)
     limits = limits or Limits()
-    path: Trajectory
-    if isinstance(problem, ControlProblem):
+    path: Trajectory | PhasesTrajectory
+    if not isinstance(problem, BoundaryProblem):
         check_solver(solver)
         method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh, guess, limits)
         refinement = ControlRefinement(problem, tolerance, method, limits, solver, verbose, of)
         path = refinement.run(joints, guess, starts)
     else:
-        assert isinstance(problem, BoundaryProblem), "Phases have no tolerance"
         method, joints = first_discretization(problem, tolerance, method, intervals, mesh)
         graphs = GraphCache(problem, verbose=verbose)
         path = BoundaryRefinement(graphs, tolerance, method, solver, limits, of).run(joints, guess)
@@ -329,7 +330,8 @@ def transcribe(
         return _graph(problem, method, intervals, mesh)
     if isinstance(problem, ControlProblem):
         return AdaptiveControlTranscription(problem, tolerance, method, intervals, mesh, limits, of)
-    assert isinstance(problem, BoundaryProblem), "Phases have no tolerance"
+    check_kind(problem, BoundaryProblem)
+    assert isinstance(problem, BoundaryProblem)
     return AdaptiveTranscription(problem, tolerance, method, intervals, mesh, limits, of)
 
 

@@ -110,9 +110,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
         """Iterations of the solver in all levels."""
         return self.graphs.iterations
 
-    def solved(self, level: CriticalPoint) -> tuple[PiecewisePolynomial, float]:
-        """The path of one level, and the residual that the solver has left."""
-        return level.polynomial, level.solution.residual
+    def solved(self, level: CriticalPoint) -> tuple[int, int, float]:
+        """Degree and intervals of one level, and the residual that the solver has left."""
+        return level.polynomial.degree, len(level.polynomial.mesh) - 1, level.solution.residual
 
     def answer(self, level: CriticalPoint, error: float | None) -> Path:
         """The critical path on the mesh of a level, with its error; a Path where nothing more can be said of it."""

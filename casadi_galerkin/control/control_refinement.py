@@ -17,6 +17,7 @@ import time
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +25,6 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.control.control_transcription import SHORTEST_STEP, transcribed_control
 from casadi_galerkin.control.idle_breakpoints import switch_times, with_joined_phases, with_parted_phases
 from casadi_galerkin.control.starts import distinct_optima, optima_of
@@ -37,12 +37,14 @@ from casadi_galerkin.control.two_comparisons import (
 )
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
 from casadi_galerkin.solvers.deadline import until
@@ -72,7 +74,7 @@ def fits_any_mesh(guess: Guess | None) -> bool:
     return all(part is None or callable(part) or isinstance(part, tuple) for part in parts)
 
 
-class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
+class ControlRefinement(Refinement[Any, Any]):
     """One refinement of a trajectory optimization to a tolerance, of all errors or of a quantity; see `solve`."""
 
     roundoff_level = 1e-9  # error that the solvers leave
@@ -87,7 +89,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
 
     def __init__(
         self,
-        problem: ControlProblem,
+        problem: Any,
         tol: float,
         method: Galerkin,
         limits: Limits,
@@ -95,15 +97,17 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         verbose: int,
         of: Quantity | None = None,
     ) -> None:
+        if of is not None and isinstance(problem, Phases):
+            raise ValueError("of is asked of the path of one problem, and not of Phases")
         self.stated, self.problem = problem, with_joined_phases(problem)
         super().__init__(tol, method, self.problem.breakpoints, limits, verbose, of)
         if of is not None:  # it may be known long before the path
             self.first_tol = FAR_FROM_GUESS
         self.solver = solver
 
-    def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, float]:
-        """The path of one level, and the violation that the solver has left."""
-        return level.polynomial, level.residual
+    def solved(self, level: ControlTrajectory) -> tuple[int, int, float]:
+        """Degree and intervals of one level, and the violation that the solver has left."""
+        return level.method.degree, len(level.t) - 1, level.residual
 
     def trajectory(self, level: ControlTrajectory, estimate: Estimate[TwoComparisons | None]) -> ControlTrajectory:
         """The optimum of a level whose error is known."""
@@ -126,10 +130,11 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         """Joints within the phases of a path, mapped to the phases of the problem."""
         return map_times(mesh, section_times(path.problem), section_times(self.problem))
 
-    def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
+    def solve(self, method: Galerkin, mesh: np.ndarray, guess: Any) -> ControlTrajectory:
         """Solve with one method on one mesh within the phases of the problem."""
         transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
-        solver = from_near(self.solver, guess) if isinstance(guess, ControlTrajectory) else self.solver
+        known = isinstance(guess, (ControlTrajectory, PhasesTrajectory))
+        solver = from_near(self.solver, guess) if known else self.solver
         try:
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)
@@ -140,7 +145,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
             if self.found is None:
                 raise
             words = f"from the path on the last mesh, {error}"  # which is where a callable overflows
-            raise ConvergenceError(words, Path(self.found.polynomial)) from error
+            raise ConvergenceError(words, Path(self.found.phases[0].polynomial)) from error
         finally:
             self.build_seconds += transcription.build_seconds
         self.iterations, self.found = self.iterations + path.iterations, path
@@ -189,8 +194,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
         """Stop where no mesh reduces the error: that of a step, or the remaining solver error on two meshes."""
         least = max(self.tol, detail.change)
         if detail.step_in_place ** (1 if self.of is None else 2) > least:
-            steps = detail.path.between_points.steps_in_place
-            hint = f"At t = {steps.times[np.argmax(steps.sizes)]:.6g} {STEP}"
+            hint = f"At t = {detail.step_time:.6g} {STEP}"
             raise self.stopped("no mesh takes away the error of a step", *self.best, hint)
         left = detail.path.solver_error
         before, self.solver_error_prevails = self.solver_error_prevails, left > least and self.of is None
@@ -222,7 +226,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
             reason += f" (only the path changes: {words})"
         return super().stopped(reason, level, error, hint)
 
-    def run(self, mesh: np.ndarray, guess: Guess | None, starts: int) -> ControlTrajectory:
+    def run(self, mesh: np.ndarray, guess: Guess | None, starts: int) -> Any:
         """Refine the path of one start or, of several starts, those that may be the best, and return the best.
 
         An optimum is left out if it costs more on the first mesh than the best refined one, by more than refinement
@@ -279,7 +283,7 @@ class ControlRefinement(Refinement[ControlTrajectory, TwoComparisons | None]):
 
 
 def first_control_discretization(
-    problem: ControlProblem,
+    problem: ControlProblem | Phases,
     tol: float,
     method: Galerkin | None,
     intervals: int | None,

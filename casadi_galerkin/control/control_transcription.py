@@ -49,7 +49,7 @@ from casadi_galerkin.control.program_bounds import (
 )
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import LONGER_DURATION, first_found
-from casadi_galerkin.control.two_comparisons import compared, from_near, phases_compared
+from casadi_galerkin.control.two_comparisons import compared, from_near
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, fork_waits, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.bounds import FEASIBLE, Limit
@@ -434,6 +434,5 @@ def comparisons(solver: Solver, path: Any) -> Comparisons:
         transcription = transcribed_control(path.problem, method, None, mesh, one_by_one)
         return transcription.solve(guess=path, solver=from_near(solver, path))
 
-    if isinstance(path, ControlTrajectory):
-        return compared(path, solved).known
-    return phases_compared(path, solved)
+    known: Comparisons = compared(path, solved).known
+    return known

@@ -10,22 +10,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import map_times, section_times, with_values
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 
-def with_joined_phases(problem: ControlProblem) -> ControlProblem:
+def with_joined_phases(problem: Any) -> Any:
     """The problem without the breakpoints that have a free time, and neither a waypoint nor a jump.
 
     The bounds of the duration of two joined phases are the sums of their bounds.
     """
-    if problem.duration_bounds is None:
+    if isinstance(problem, Phases) or problem.duration_bounds is None:
         return problem
     earliest, latest = (np.cumsum(side)[:-1] for side in problem.duration_bounds)
     with_event = [t for t, _ in (*problem.waypoints, *problem.jumps)]

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -127,6 +128,12 @@ class TwoComparisons:
         """Largest step of the integrand that no derivative shows, times duration over cost."""
         return self.of_cost(np.max(self.path.between_points.steps_in_place.sizes) * np.ptp(self.path.t))
 
+    @property
+    def step_time(self) -> float:
+        """When it is."""
+        steps = self.path.between_points.steps_in_place
+        return float(steps.times[np.argmax(steps.sizes)])
+
     def of_cost(self, change: float) -> float:
         """A change of the cost relative to its size; zero where the costs cannot be told from zero."""
         paths = self.path, self.same, self.better
@@ -169,22 +176,58 @@ class TwoComparisons:
         return spread_over(mesh, cumulated, max(FEWEST, int(np.ceil(counts).sum())), fixed)
 
 
-def compared(path: ControlTrajectory, solve: Callable[[Galerkin, np.ndarray], ControlTrajectory]) -> TwoComparisons:
-    """Compare a path with those that `solve` finds with a method on a mesh; held controls have one mesh only."""
+@dataclass(frozen=True)
+class PhasesComparisons:
+    """The same of all phases of a path: errors are the largest of a phase, and the cost is that of the whole."""
+
+    path: PhasesTrajectory
+    same: PhasesTrajectory
+    better: PhasesTrajectory
+
+    @cached_property
+    def _each(self) -> list[TwoComparisons]:
+        paths = self.path, self.same, self.better
+        with_cost = [[replace(phase, cost=path.cost) for phase in path.phases] for path in paths]
+        return [TwoComparisons(*three) for three in zip(*with_cost, strict=True)]
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """The largest relative errors of the cost, and of all."""
+        costs, others = zip(*(one.errors for one in self._each), strict=True)
+        return max(costs), max(others)
+
+    @property
+    def known(self) -> Comparisons:
+        """What the path keeps of this."""
+        return Comparisons((), self.errors, max(one.unseen for one in self._each))
+
+    @property
+    def change(self) -> float:
+        """The largest by the two comparisons alone."""
+        return max(one.change for one in self._each)
+
+    @property
+    def step_in_place(self) -> float:
+        """The largest step that no derivative shows."""
+        return max(one.step_in_place for one in self._each)
+
+    @property
+    def step_time(self) -> float:
+        """When it is."""
+        return max(self._each, key=lambda one: one.step_in_place).step_time
+
+    def mesh(self, tol: float, _: Iterable[float], least: float) -> np.ndarray:
+        """Joints of all phases, with which x should be known to `tol`."""
+        meshes = [one.mesh(tol, (), least) for one in self._each]
+        return np.append(np.concatenate([mesh[:-1] for mesh in meshes]), meshes[-1][-1])
+
+
+def compared(path: Any, solve: Callable[[Galerkin, np.ndarray], Any]) -> Any:
+    """Compare a path, or phases, with what `solve` finds with a method on a mesh; held controls have one mesh only."""
     other = path.t if path.problem.hold else interlaced(path.t, path.problem.breakpoints)
     method = raised(path.method)
-    return TwoComparisons(path, solve(method, path.t), solve(method, other))
-
-
-def phases_compared(path: PhasesTrajectory, solve: Callable[[Galerkin, np.ndarray], PhasesTrajectory]) -> Comparisons:
-    """Compare all phases of a path with those of two others as `compared` does; errors are the largest of a phase."""
-    held, method = any(phase.hold for phase in path.problem.phases), raised(path.method)
-    other = path.t if held else interlaced(path.t, path.problem.breakpoints)
-    paths = path, solve(method, path.t), solve(method, other)
-    of_whole = [[replace(phase, cost=one.cost) for phase in one.phases] for one in paths]
-    known = [TwoComparisons(*three).known for three in zip(*of_whole, strict=True)]
-    cost, error = (max(one.errors[k] for one in known) for k in (0, 1))
-    return Comparisons((), (cost, error), max(one.unseen for one in known))
+    compare = TwoComparisons if isinstance(path, ControlTrajectory) else PhasesComparisons
+    return compare(path, solve(method, path.t), solve(method, other))
 
 
 def _distance(path: ControlTrajectory, other: ControlTrajectory) -> float:

@@ -247,6 +247,11 @@ class Phases:
         """Times of joints that every mesh has: where phases begin, and their own."""
         return tuple(t for phase in self.phases for t in (*phase.breakpoints, phase.t_span[1]))[:-1]
 
+    @property
+    def hold(self) -> bool:
+        """Whether the controls of any phase are held."""
+        return any(phase.hold for phase in self.phases)
+
     def mesh(self, intervals: Sequence[int]) -> np.ndarray:
         """Joints with a number of intervals for every phase."""
         if len(intervals) != len(self.phases):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -107,6 +107,15 @@ class PhasesTrajectory(Table, Pictured):
         for k, value in enumerate(values):
             found[: len(value), which == k] = value
         return found.reshape(len(found), *times.shape)
+
+    def amended(self, **changes: Any) -> PhasesTrajectory:
+        """The same path with another report."""
+        return replace(self, **changes)
+
+    @property
+    def solver_error(self) -> float:
+        """As of a ControlTrajectory, the largest of all phases."""
+        return max(path.solver_error for path in self.phases)
 
     @cached_property
     def morse_index(self) -> int | None:

@@ -15,7 +15,6 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.limits import Limits
@@ -126,8 +125,8 @@ class Refinement(ABC, Generic[Level, Detail]):
         """The path of a level whose error is known, to be asked for a quantity."""
 
     @abstractmethod
-    def solved(self, level: Level) -> tuple[PiecewisePolynomial, float]:
-        """The path of one level, and the residual that the solver has left."""
+    def solved(self, level: Level) -> tuple[int, int, float]:
+        """Degree and intervals of one level, and the residual that the solver has left."""
 
     def not_smooth(self, when: float, duration: float) -> str:
         """Say why the error near a time may not fall."""
@@ -233,7 +232,7 @@ class Refinement(ABC, Generic[Level, Detail]):
             f"tolerance {self.goal:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
             f"and {known}; it is attached to this error as `path`. {hint}",
             path,
-            self.solved(level)[1],
+            self.solved(level)[2],
             self.iterations,
         )
 
@@ -248,9 +247,6 @@ class Refinement(ABC, Generic[Level, Detail]):
             return
         if number == 0:
             print(f"{'Level':>7}{'Degree':>8}{'Intervals':>11}{'Iterations':>12}{'Max error':>12}  Estimated from")
-        polynomial, iterations = self.solved(level)[0], self.iterations - self.reported
+        (degree, intervals, _), iterations = self.solved(level), self.iterations - self.reported
         self.reported = self.iterations
-        print(
-            f"{number:7d}{polynomial.degree:8d}{len(polynomial.mesh) - 1:11d}{iterations:12d}"
-            f"{estimate.error:12.2e}  {estimate.source}"
-        )
+        print(f"{number:7d}{degree:8d}{intervals:11d}{iterations:12d}{estimate.error:12.2e}  {estimate.source}")

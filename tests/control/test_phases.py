@@ -175,10 +175,11 @@ def test_a_summary_has_every_phase():
             r"phase 0 has 2 components, and phase 1 has 1: give a law \(x, v\) -> \(x, v\) as link 0",
         ),
         (
-            lambda: cg.solve(bouncing(), tol=1e-3),
+            lambda: cg.solve(bouncing(), tol=1e-3, of=lambda path: path.cost),
             ValueError,
-            "Phases are solved with a method and intervals, and no tolerance",
+            "of is asked of the path of one problem, and not of Phases",
         ),
+        (lambda: cg.transcribe(bouncing(), tol=1e-3), TypeError, "problem must be a BoundaryProblem, got Phases"),
     ],
 )
 def test_what_is_no_sequence_of_phases_is_refused(make, kind, message):
@@ -243,3 +244,15 @@ def test_without_a_guess_lines_lead_to_the_next_positions_that_are_given():
     values = program.starting_point(program.problem, program.calculus, None).values
     ends = [of_phase["x"][[0, -1], 0].tolist() for of_phase in values]
     np.testing.assert_allclose(ends, [[1, 2], [2, 3], [3, 5], [2, 2]], rtol=0, atol=1e-15)
+
+
+def test_a_tolerance_is_met_by_every_phase():
+    timed = {"duration_bounds": (0.3, 5.0), "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + 1 + ca.sin(3 * x[0])}
+    exact = cg.solve(bouncing(**timed), cg.Galerkin(10), 12)
+    path = cg.solve(bouncing(**timed), tol=1e-6)
+    assert abs(path.cost / exact.cost - 1) <= path.cost_error
+    assert path.error_estimate <= 1e-6
+    parts = np.linspace(0, 1, 40)
+    for one, other in zip(path.phases, exact.phases, strict=True):
+        found, known = (phase(phase.t[0] + parts * np.ptp(phase.t)) for phase in (one, other))
+        assert np.max(np.abs(found - known)) <= 1e-6 * np.max(np.abs(known))
