@@ -3,8 +3,6 @@
 Of all shapes x(s) of this length the cable takes the one of least potential energy, ∫ w x sqrt(1 + x'²) ds, a given
 integral beside it.  What is stationary is ∫ (w x + μ) sqrt(1 + x'²) ds: where the height is x, the cable is pulled
 with w x + μ, and its horizontal part, which is minus the energy of that Lagrangian, is the same everywhere.
-
-A straight guess would not do: a straight line has the least length, so that small changes do not change it.
 """
 
 import casadi as ca
@@ -32,15 +30,10 @@ def problem():
     )
 
 
-def sagging(s):
-    """Guess: a parabola."""
-    return np.array([np.interp(s, (0, SPAN), MASTS) - 60 * s / SPAN * (1 - s / SPAN)])
-
-
 def main():
     """Solve for every length on the same graph."""
     transcription = cg.transcribe(problem(), cg.Galerkin(degree=8), intervals=16)
-    return [transcription.solve(integral_values=[length], guess=sagging) for length in LENGTHS]
+    return [transcription.solve(integral_values=[length]) for length in LENGTHS]
 
 
 def tensions(cable):

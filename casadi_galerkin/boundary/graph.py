@@ -22,8 +22,10 @@ from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_at_joints
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solution.orbit_phase import phase_plane
+from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.second_variation import SINGULAR, smallest_curvature
 from casadi_galerkin.solvers.solver import SolverLike, newton
@@ -31,6 +33,7 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 Graph = TypeVar("Graph", bound="BoundaryGraph")
 
+ARCH_ITERATIONS = 20  # most iterations for the height of an arch
 REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be computed
 
 
@@ -176,12 +179,57 @@ class BoundaryGraph:
         return quotient, self.change(direction)
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
-        """The path of a guess on a mesh, bent to meet the given ends."""
+        """The path of a guess on a mesh, bent to meet the given ends, and integrals that do not change along it."""
         same = np.array_equal(mesh, self.mesh)
         calculus = self._calculus if same else DiscreteCalculus(self.method, mesh)
         values = guess_values(guess, calculus, self.problem.dimension).T
         values = meeting_ends(values, calculus.node_parts, self.problem.given_positions)
+        if self.numbering.integrals and self.problem.constraint is None:
+            values = self._meeting_integrals(values, calculus.node_parts, mesh)
         return PiecewisePolynomial(mesh, self.method.element.nodes, values.T)
+
+    def _meeting_integrals(self, values: np.ndarray, parts: np.ndarray, mesh: np.ndarray) -> np.ndarray:
+        """Node values (N m + 1, d) bent by arches to the given integrals, where these do not change to first order.
+
+        As a straight line has the least length.  Of all components and both sides, the arch of least action is taken.
+        """
+        numbering, data, sizes = self.numbering, self.data(mesh), component_sizes(values.T)
+        numbers, given = np.arange(1, numbering.integrals + 1), np.array(self.problem.integral_values)
+        arches = np.sin(np.pi * np.multiply.outer(numbers, parts))[:, :, None]
+        path, bent, accepted = np.zeros(numbering.free), list[tuple[float, np.ndarray]](), EPS**0.5 * np.abs(given)
+
+        def missed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """By how much the integrals are missed, (k,), and their derivatives by the node values, (k, N m + 1, d)."""
+            path[: numbering.positions] = values.ravel()[numbering.place]
+            residual, rows = at.integrals(path, data)
+            slopes = np.zeros((len(rows), values.size))
+            slopes[:, numbering.place] = rows
+            return residual, slopes.reshape(len(rows), *values.shape)
+
+        with self.stationarity.linearization() as at, np.errstate(all="ignore"):
+            (along, flat), (_, curved) = missed(values), missed(values + arches[0] * sizes)
+            if not np.any(np.abs(flat).max(axis=(1, 2)) <= EPS**0.5 * np.abs(curved).max(axis=(1, 2))):
+                return values
+            of_components = np.diag(sizes) if np.any(np.abs(along) > accepted) else ()
+            for arch in (*of_components, *(-arch for arch in of_components)):
+                heights, shapes = 1 / numbers, arches * arch
+                for _ in range(ARCH_ITERATIONS):
+                    here = values + np.tensordot(heights, shapes, 1)
+                    residual, slopes = missed(here)
+                    if np.all(np.abs(residual) <= accepted):
+                        bent.append((at.evaluate("action", path, data)[0].item(), here))
+                        break
+                    by_heights = np.tensordot(slopes, shapes, ([1, 2], [1, 2]))
+                    if not np.isfinite(by_heights).all():
+                        break
+                    heights = heights - np.linalg.lstsq(by_heights, residual)[0]
+        if not bent:
+            raise ConvergenceError(
+                f"no path was found: small changes of the guess do not change its integrals, {(along + given).tolist()}, "
+                f"and no arch bends it to {given.tolist()}. There may be no path with these; else give a guess with them",
+                Path(PiecewisePolynomial(mesh, self.method.element.nodes, values.T)),
+            )
+        return min(bent, key=lambda found: found[0])[1]
 
     def change(self, step: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of a step of the unknowns."""

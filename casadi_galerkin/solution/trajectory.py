@@ -414,6 +414,9 @@ class Trajectory(Path):
         """The kind of critical point, in words."""
         if self.morse_index is not None:
             return "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
+        masses = at_places(legendre_transform(self._lagrangian), self.t, self.x, self(self.t, 1))[1].T
+        if np.all(np.linalg.eigvalsh(masses.reshape(-1, len(self.x), len(self.x))) < 0):
+            return "no Morse index and no minimum: ∂²L/∂v² is negative; -L has the same paths, and an index"
         least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
         return f"no Morse index{least}"
 

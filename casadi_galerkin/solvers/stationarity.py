@@ -279,6 +279,13 @@ class Linearization:
         build = partial(linear.solving, "newton_step")
         return self._solved("squares", build, self.matrix, gradient, joined(unknowns, data))[0][0][multipliers]
 
+    def integrals(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
+        """By how much given integrals are missed, (k,), and their derivatives by the free values, (k, positions)."""
+        numbering, gradient = self.stationarity.linear_solver.numbering, self.relinearize(unknowns, data)
+        chosen = slice(numbering.everywhere.start, numbering.everywhere.start + numbering.integrals)
+        matrix = ca.DM(self.stationarity.linear_solver.sparsity, self.matrix.tolist())
+        return gradient[chosen], np.array(matrix[chosen, : numbering.positions])
+
     def refined(
         self, unknowns: np.ndarray, data: Data, rhs: Iterable[np.ndarray], solutions: list[np.ndarray]
     ) -> list[np.ndarray]:

@@ -228,6 +228,40 @@ def test_derivatives_by_values_and_parameters():
     np.testing.assert_allclose(by.parameters[0, :, 0], -1.5 * by.t * (1 - by.t), rtol=0, atol=CLOSED_FORM)
 
 
+@pytest.mark.parametrize(("end", "how"), [(0.0, {"tol": 1e-10}), *slow((0.1, {"tol": 1e-10}), (0.1, {}))])
+def test_a_line_is_bent_to_the_length_that_small_changes_do_not_change(end, how):
+    """A straight line has the least length: from there the side of less action is taken."""
+    problem = held(arc, [1.3], end=[end], lagrangian=lambda t, x, v: x[0] * arc(t, x, v))
+    path = cg.solve(problem, **how) if how else cg.solve(problem, METHOD, 8)
+    a = -path.energy[0]
+    assert 2 * a * np.sinh(1 / (2 * a)) == pytest.approx(np.sqrt(1.3**2 - end**2), abs=1e-9)
+    assert path(0.5)[0] < 0
+    assert path.morse_index == 0
+    assert path.solver == "Newton"
+
+
+@pytest.mark.parametrize("length", [0.5, 1.0])
+@pytest.mark.parametrize("how", [{"tol": 1e-8}, {"method": METHOD, "intervals": 4}], ids=["tol", "mesh"])
+def test_a_length_that_only_the_line_has_or_no_path_is_refused(length, how):
+    with pytest.raises(
+        cg.ConvergenceError, match=r"small changes of the guess do not change its integrals, \[.*\], and no arch"
+    ):
+        cg.solve(dido(length), **how)
+
+
+def test_the_mode_of_no_guess_is_the_first():
+    path = cg.solve(mathieu(1.0), tol=1e-10)
+    assert -path.integral_multipliers[0] == pytest.approx(mathieu_b(1, 1.0), abs=EIGENVALUE)
+
+
+def test_a_path_of_negative_masses_is_said_to_be_no_minimum():
+    """The same arc, with the area as L: the multiplier, and with it the mass, is negative."""
+    largest = held(arc, [1.3], lagrangian=area)
+    path = cg.solve(largest, METHOD, 8, guess=bump())
+    assert path.integral_multipliers == pytest.approx([-radius()[0]], abs=1e-9)
+    assert "no Morse index and no minimum: ∂²L/∂v² is negative; -L has the same paths" in repr(path)
+
+
 def test_a_path_without_given_integrals_has_no_multipliers():
     assert cg.solve(cg.BoundaryProblem(free, (0, 1), [0.0], [1.0]), METHOD, 2).integral_multipliers.shape == (0,)
 
