@@ -225,8 +225,8 @@ class BoundaryGraph:
                     heights = heights - np.linalg.lstsq(by_heights, residual)[0]
         if not bent:
             raise ConvergenceError(
-                f"no path was found: small changes of the guess do not change its integrals, {(along + given).tolist()}, "
-                f"and no arch bends it to {given.tolist()}. There may be no path with these; else give a guess with them",
+                f"no path was found: small changes of the guess do not change its integrals, {(along + given).tolist()}"
+                f", and no arch bends it to {given.tolist()}. There may be no path of these; else give a guess",
                 Path(PiecewisePolynomial(mesh, self.method.element.nodes, values.T)),
             )
         return min(bent, key=lambda found: found[0])[1]
