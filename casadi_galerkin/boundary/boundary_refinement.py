@@ -171,7 +171,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
         graph = self.graph(level.polynomial)
         if self.regular(level) and graph.numbering.free == graph.numbering.positions:
             return 0.0
-        floor = roundoff_error(graph, level)
+        floor = roundoff_error(graph, level.solution.unknowns, level.solution.data)
         if floor > self.tol:
             graph.refuse_conjugate(level)
             cause = "doubles hold no more digits, the ends are nearly conjugate, or the action's terms cancel"

@@ -9,10 +9,11 @@ import math
 
 import numpy as np
 
-from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
+from casadi_galerkin.boundary.graph import BoundaryGraph
 from casadi_galerkin.calculus.mesh_adaptation import largest_change
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
+from casadi_galerkin.functional.numbering import Data
 
 LEAST_AGREEMENT = 0.95  # agreement below which a given mesh does not resolve the variations
 LARGEST_RATIO = 0.9  # largest ratio of two Newton steps with which their geometric series is summed
@@ -127,13 +128,12 @@ def _joined(graph: BoundaryGraph, path: PiecewisePolynomial, steps: list[np.ndar
     return PiecewisePolynomial(path.mesh, graph.method.element.nodes, changes)
 
 
-def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
+def roundoff_error(graph: BoundaryGraph, unknowns: np.ndarray, data: Data) -> float:
     """Estimate the roundoff error of a path, relative to the size of its components.
 
     It is the root mean square, over a few choices of random signs, of the largest |∇²S⁻¹ r|, where r is an error of
     every equation of `ROUNDING_RMS` times eps times the sizes of its terms (`Linearization.rounding_effects`).
     """
-    unknowns, data = point.solution.unknowns, point.solution.data
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
         moved = ROUNDING_RMS * at.rounding_effects(unknowns, data)

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.error_estimate import error_between_ends
+from casadi_galerkin.boundary.error_estimate import error_between_ends, roundoff_error
 from casadi_galerkin.boundary.failure_report import refuse_undefined
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
 from casadi_galerkin.calculus.cached_property import cached_property
@@ -173,6 +173,7 @@ class Transcription(BoundaryGraph):
             find_regularity=variations.smallest,
             find_difference=variations.difference,
             find_finer=variations.finer,
+            find_rounding=variations.rounding,
             integral_multipliers=point.integral_multipliers,
         )
 
@@ -241,6 +242,11 @@ class SecondVariation:
     def finer(self, path: Trajectory) -> tuple[Trajectory]:
         """The path of a higher degree on the same mesh, by Newton's method from this one."""
         return (self._graph().higher.nearby(path.polynomial),)
+
+    def rounding(self) -> float:
+        """Relative roundoff error of the path: see `roundoff_error`."""
+        graph = self._graph()
+        return roundoff_error(graph, *graph.on_path(self._path))
 
     def smallest(self) -> float | None:
         """Smallest second variation over the sizes of its terms, see `smallest_curvature`; None at a kink of L in x."""

@@ -47,9 +47,15 @@ def quantity(of: Quantity, path: object) -> np.ndarray:
     return checked
 
 
-def largest_difference(of: Quantity, path: Solved, others: Iterable[Solved]) -> tuple[np.ndarray, np.ndarray]:
-    """A quantity of a path, and its largest difference to that of others; arrays of equal shapes."""
-    value, changes = quantity(of, path), np.zeros(())
+def largest_difference(
+    of: Quantity, path: Solved, others: Iterable[Solved], rounding: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """A quantity of a path, and its largest difference to that of others or of the path rounded to relative `rounding`.
+
+    Arrays of equal shapes.
+    """
+    value = quantity(of, path)
+    changes = np.abs(quantity(of, _moved(path, rounding)) - value)
     for other in others:
         its = quantity(of, other)
         if its.shape != value.shape:
@@ -57,9 +63,9 @@ def largest_difference(of: Quantity, path: Solved, others: Iterable[Solved]) -> 
                 f"of must return an array whose shape does not depend on the path, got {value.shape} and {its.shape}"
             )
         changes = np.maximum(changes, np.abs(its - value))
-    if not changes.any() and np.array_equal(quantity(of, _moved(path)), value):
+    if not changes.any() and np.array_equal(quantity(of, _moved(path, 0.1)), value):
         raise ValueError(f"of depends on no unknown of the path: it is {value} on every path")
-    return value, np.broadcast_to(changes, value.shape)
+    return value, changes
 
 
 def size_of(value: np.ndarray) -> float:
@@ -67,14 +73,15 @@ def size_of(value: np.ndarray) -> float:
     return float(np.max(np.abs(value))) or 1.0
 
 
-def _moved(path: Any) -> Any:
-    """The path with all numbers changed that a solve finds, given ends and durations excepted; no solution."""
+def _moved(path: Any, part: float) -> Any:
+    """The path with all numbers changed by some part of their sizes, but given ends and durations; no solution."""
     problem, random = path.problem, np.random.default_rng(0)
     free = [getattr(problem, name, None) is not None for name in ("energy", "duration_bounds")]
-    stretch = 1.0 + 0.1 * any(free)
+    stretch = 1.0 + part * any(free)
 
     def moved(value: np.ndarray) -> np.ndarray:
-        return value + random.uniform(0.1, 0.2, np.shape(value)) * (np.max(np.abs(value), initial=0.0) or 1.0)
+        size = np.max(np.abs(value), axis=-1, initial=0.0, keepdims=True)
+        return np.asarray(value + part * random.choice((-1.0, 1.0), np.shape(value)) * np.where(size > 0, size, 1.0))
 
     own = path.polynomial
     values, mesh = moved(own.values), own.mesh[0] + stretch * (own.mesh - own.mesh[0])

@@ -17,6 +17,7 @@ from casadi_galerkin.calculus.mesh_adaptation import largest_difference as diffe
 from casadi_galerkin.calculus.mesh_adaptation import truncation_error
 from casadi_galerkin.calculus.numbers import checked_index, counted, number, spanned, told_apart, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import times_within
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
@@ -96,6 +97,7 @@ class Trajectory(Path):
     missed: float = 0.0  # what shooting misses the end by, relative to the size of the path
     find_difference: Callable[[], float] | None = None  # relative, to a path of a higher degree, without finding it
     find_finer: Callable[[Trajectory], tuple[Trajectory, ...]] | None = None  # paths of a higher degree
+    find_rounding: Callable[[], float] | None = None  # relative roundoff error
     asked: np.ndarray | float | None = None
     asked_error: float | None = None
     integral_multipliers: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -126,7 +128,8 @@ class Trajectory(Path):
     def error_of(self, of: Quantity) -> np.ndarray:
         """Estimate the error of any quantity of the path: its difference to that of a path of a higher degree.
 
-        That path has the same mesh; it is found once and kept for the next question.  Where an error indicator of
+        That path has the same mesh; it is found once and kept for the next question.  The error is no smaller than what
+        the quantity is changed by the rounding of the path.  Where an error indicator of
         `estimate_error` is larger than the difference of x, as at a kink, the error is at least that, relative to the
         largest entry.  Of a ControlTrajectory it is twice the larger difference to two paths of higher degree, and at
         least what `estimate_error` knows beside these.
@@ -177,7 +180,8 @@ class Trajectory(Path):
         except ConvergenceError:
             value = quantity(of, self)
             return value, np.full(value.shape, np.inf), size_of(value)
-        value, change = largest_difference(of, self, finer)
+        rounding = EPS if self.find_rounding is None else min(self.find_rounding(), 1.0)
+        value, change = largest_difference(of, self, finer, rounding)
         size = size_of(value)
         return value, np.maximum(self.comparison_factor * change, self._unseen_error * size), size
 

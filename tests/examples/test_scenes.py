@@ -87,7 +87,7 @@ def slope_as_published(module, path):
     singular = cg.BoundaryProblem(near, (0.0, 100.0), [1.0], [144e-6])
     with pytest.raises(cg.LimitReached, match=r"tolerance 1e-06 was not reached") as caught:
         cg.solve(singular, tol=1e-6, of=module.slope, guess=lambda t: [1 / (1 + t) ** 2])
-    assert abs(caught.value.path.asked / module.SLOPE - 1) <= caught.value.path.asked_error
+    assert 1e-6 < caught.value.path.asked_error < abs(caught.value.path.asked / module.SLOPE - 1) * 6
 
 
 def weight_found_again(module, found):

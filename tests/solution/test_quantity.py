@@ -120,6 +120,13 @@ def test_what_is_no_quantity_is_refused(of, error, match):
         cg.solve(SWING, tol=1e-3, of=of)
 
 
+def test_no_error_is_claimed_below_rounding():
+    path = cg.solve(SWING, tol=1e-12)
+    for of in QUANTITIES.values():
+        assert np.min(path.error_of(of)) > 1e-16 * np.max(np.abs(of(path)))
+    assert path.error_of(lambda path: path(5.0, 1)) > 10 * path.error_of(lambda path: path(5.0))
+
+
 def test_a_quantity_needs_its_tolerance():
     with pytest.raises(ValueError, match="of is what a tolerance is asked of: give tol with it"):
         cg.solve(SWING, cg.Galerkin(3), 10, of=QUANTITIES["action"])
