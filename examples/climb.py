@@ -40,7 +40,7 @@ def mach(x):
     return 1e3 * x[1] / sound(x[0])
 
 
-def rates(t, x, v, u):
+def rates(t, x, u):
     """Of altitude, speed, climb angle and mass in t; u is the angle of attack."""
     height, speed, climb, mass = (x[i] for i in range(4))
     at, radius = mach(x), 1 + height / RADIUS
@@ -60,11 +60,11 @@ def problem():
         start=[0.0, 0.129314, 0.0, 19.050864],
         end=[19.99488, 0.295092, 0.0, None],
         controls=1,
-        running_cost=lambda t, x, v, u: 1,
+        running_cost=lambda t, x, u: 1,
         duration_bounds=(100.0, 800.0),
         control_bounds=(-0.35, 0.35),
         position_bounds=([0.0, 0.01, -0.8, 10.0], [FEET[-1], 1.0, 0.8, 20.0]),
-        path_constraint=(lambda t, x, v, u: mach(x), MACH[0], MACH[-1]),
+        path_constraint=(lambda t, x, u: mach(x), MACH[0], MACH[-1]),
     )
 
 

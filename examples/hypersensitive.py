@@ -18,11 +18,11 @@ START, END, DURATION = 1.5, 1.0, 1e4
 def problem():
     """One component, one control, no mechanics."""
     return cg.ControlProblem(
-        rates=lambda t, x, v, u: -(x**3) + u,
+        rates=lambda t, x, u: -(x**3) + u,
         t_span=(0.0, DURATION),
         start=START,
         end=END,
-        running_cost=lambda t, x, v, u: (x**2 + u**2) / 2,
+        running_cost=lambda t, x, u: (x**2 + u**2) / 2,
         controls=1,
     )
 

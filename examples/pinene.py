@@ -28,7 +28,7 @@ MEASURED = np.array(  # in percent
 PUBLISHED = 19.872167
 
 
-def rates(t, x, v, p):
+def rates(t, x, p):
     """Of the five concentrations, and none of the sum of squares."""
     return [-(p[0] + p[1]) * x[0], p[0] * x[0], p[1] * x[0] - (p[2] + p[3]) * x[2] + p[4] * x[4], p[2] * x[2],
             p[3] * x[2] - p[4] * x[4], 0]  # fmt: skip
@@ -43,7 +43,7 @@ def problem():
     """All α-pinene at the start; constants that are not negative."""
 
     def measurement(values):
-        return lambda x, v, p: (ca.vertcat(x[:5], missed(x, values)), v)
+        return lambda x, p: ca.vertcat(x[:5], missed(x, values))
 
     return cg.ControlProblem(
         rates=rates,
@@ -52,7 +52,7 @@ def problem():
         parameters=[0.5] * 5,  # a guess
         parameter_bounds=(0.0, 10.0),
         jumps=[(t, measurement(values)) for t, values in zip(TIMES[:-1], MEASURED[:-1], strict=True)],
-        terminal_cost=lambda t, x, v, p: missed(x, MEASURED[-1]),
+        terminal_cost=lambda t, x, p: missed(x, MEASURED[-1]),
     )
 
 

@@ -16,7 +16,7 @@ PUBLISHED = 0.7158270687193941, 0.9185534764557338e-5, 0.2841637457458413
 MESH = np.append(0.0, np.geomspace(1e-4, DURATION, 24))
 
 
-def rates(t, x, v, u):
+def rates(t, x, u):
     """Of the first two concentrations; u is the third."""
     slow, fast = 0.04 * x[0] - 1e4 * x[1] * u[0], 3e7 * x[1] ** 2
     return [-slow, slow - fast]
@@ -29,7 +29,7 @@ def problem():
         t_span=(0.0, DURATION),
         start=[1.0, 0.0],
         controls=1,
-        path_constraint=(lambda t, x, v, u: x[0] + x[1] + u[0] - 1, 0.0, 0.0),
+        path_constraint=(lambda t, x, u: x[0] + x[1] + u[0] - 1, 0.0, 0.0),
     )
 
 

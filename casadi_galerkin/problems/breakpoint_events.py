@@ -13,7 +13,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted, finite, number
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, within_rounding
 from casadi_galerkin.problems.callables import Traceable, trace
-from casadi_galerkin.problems.statements import Made, Reader, dimension, lengths, limited
+from casadi_galerkin.problems.statements import VELOCITIES, Made, Reader, dimension, lengths, limited
 
 Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
 Waypoint: TypeAlias = tuple[float, Positions | tuple[Traceable, Limit, Limit]]
@@ -96,14 +96,21 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
     return tuple((least, most) for least, most in sides)
 
 
-def positions_and_velocities(name: str, law: Any, sizes: dict[str, int], d: int, mechanical: int) -> ca.Function:
-    """A jump as a Function (x, v[, p]) -> x after, v after; v after is zero where x follows a rate."""
+def positions_and_velocities(
+    name: str, law: Any, sizes: dict[str, int], d: int, mechanical: int, first_order: bool = False
+) -> ca.Function:
+    """A jump as a Function (x, v[, p]) -> x after, v after; v after is zero where x follows a rate.
+
+    Of first order it is a callable of x alone -> x after.
+    """
     if not callable(law):
         raise TypeError(f"{name} must be a callable of ({', '.join(sizes)}), got {law!r}")
 
     @wraps(law)
     def after(*arguments: ca.SX) -> Any:
         sides = law(*arguments)
+        if len(arguments) < len(sizes):  # without velocities
+            sides = sides, [0.0] * d
         if not isinstance(sides, (tuple, list)) or len(sides) != 2:
             raise TypeError(f"it must return a pair: x and v after the jump, got {sides!r}")
         columns = [ca.vertcat(*side) if isinstance(side, (tuple, list)) else ca.SX(side) for side in sides]
@@ -112,7 +119,7 @@ def positions_and_velocities(name: str, law: Any, sizes: dict[str, int], d: int,
             raise ValueError(f"it must return {counted(d, 'position')} and as many velocities, got {counts}")
         return ca.vertcat(*columns)
 
-    traced = trace(name, after, sizes, 2 * d)
+    traced = trace(name, after, sizes, 2 * d, VELOCITIES if first_order else ())
     symbols = traced.sx_in()
     position, velocity = ca.vertsplit(traced(*symbols), d)
     velocity[mechanical:] = 0.0
@@ -121,7 +128,8 @@ def positions_and_velocities(name: str, law: Any, sizes: dict[str, int], d: int,
 
 def _law(law: Any, made: Made) -> ca.Function:
     d = dimension(made)
-    return positions_and_velocities("jump", law, lengths("x v", made), d, d - made["rates"].numel_out(0))
+    mechanical, first_order = d - made["rates"].numel_out(0), made["first_order"]
+    return positions_and_velocities("jump", law, lengths("x v", made), d, mechanical, first_order)
 
 
 waypoints = timed("(t, positions) or (t, (g, lo, hi))", _waypoint)

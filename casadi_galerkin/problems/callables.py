@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Literal, TypeAlias, TypeGuard
 
@@ -27,7 +26,9 @@ ADVICE = (
 )
 
 
-def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function:
+def trace(
+    name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows, optional: Collection[str] = ()
+) -> ca.Function:
     """Turn a callable of CasADi vectors into a Function with `rows` outputs.
 
     Parameters
@@ -36,6 +37,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
     function : callable; a casadi Function is checked like any other, and returned unchanged if it has this layout
     sizes : length of every argument, in order; the callable does not take those of length zero, as without controls
     rows : expected length of the result, which may be a list; "any" for a vector of any length, or "scalar"
+    optional : arguments that the callable may leave out, all of them
 
     Raises
     ------
@@ -43,6 +45,12 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         naming what came and what was expected
     """
     taken: Mapping[str, int] = {key: size for key, size in sizes.items() if size}
+    few = {key: size for key, size in taken.items() if key not in optional}
+    if isinstance(function, ca.Function):
+        short = function.n_in() <= len(few)
+    else:
+        short = not (callable(function) and _binds(function, taken))
+    taken = few if short else taken
     shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in taken.items())
     if isinstance(function, ca.Function):
         taken = sizes if function.n_in() == len(sizes) else taken  # as of a problem whose fields are replaced
@@ -131,18 +139,26 @@ def _refuse_free(name: str, function: ca.Function, shapes: str) -> None:
         raise ValueError(f"{name} depends on {', '.join(function.get_free())} besides its arguments {shapes}")
 
 
+def _binds(function: Traceable, arguments: Collection[str]) -> bool:
+    """Whether a callable takes so many arguments, as far as its signature is known."""
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError:
+        return False
+    except ValueError:  # it has no signature
+        return True
+    return True
+
+
 def _check_signature(name: str, function: Traceable, expected: list[str]) -> None:
     """Refuse a callable of other arguments, or of these in another order, as far as its signature is known."""
     try:
-        signature = inspect.signature(function)
+        taken = list(inspect.signature(function).parameters)
     except (TypeError, ValueError):
         return
-    taken = list(signature.parameters)
     swapped = taken != expected and sorted(taken) == sorted(expected)
-    with suppress(TypeError):
-        signature.bind(*expected)
-        if not swapped:
-            return
+    if _binds(function, expected) and not swapped:
+        return
     hint = _about_p(expected) if len(taken) > len(expected) or "p" in expected else ""
     if "u" in taken and "u" not in expected:
         hint = ". Controls u are chosen by a ControlProblem, whose callables take them"

@@ -24,7 +24,7 @@ from casadi_galerkin.calculus.numbers import Values, counted, times_inside, whol
 from casadi_galerkin.calculus.numbers import components as checked_components
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, within_rounding
 from casadi_galerkin.problems.breakpoint_events import Crossing, Pairs, Waypoint, is_limited, jumps, waypoints
-from casadi_galerkin.problems.callables import Traceable, depends_on_time, left_out, of_zeros, trace
+from casadi_galerkin.problems.callables import Traceable, depends_on_time, left_out, of_zeros
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
 from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import singular_mass
@@ -40,6 +40,7 @@ from casadi_galerkin.problems.statements import (
     parameters,
     span,
     switch,
+    traced,
     vector,
     vector_or_nothing,
     within,
@@ -53,7 +54,7 @@ def _controls(name: str, value: Any, _: Made) -> int:
 def _rates(name: str, value: Any, made: Made) -> ca.Function:
     """Rates of the last components, as many as there are values."""
     sizes, d = lengths("t x v u", made), dimension(made)
-    rates = of_zeros(name, sizes, 0) if left_out(value) else trace(name, value, sizes, "any")
+    rates = of_zeros(name, sizes, 0) if left_out(value) else traced(name, value, "t x v u", "any", made)
     if rates.numel_out(0) > d:
         raise ValueError(
             f"rates must be those of at most all {counted(d, 'component')}, got {rates.numel_out(0)} values"
@@ -83,12 +84,12 @@ def _lagrangian(name: str, value: Any, made: Made) -> ca.Function:
 
 def _force(name: str, value: Any, made: Made) -> ca.Function:
     sizes, count = lengths("t x v u", made), _mechanical(name, value, made)
-    return of_zeros(name, sizes, count) if left_out(value) else trace(name, value, sizes, count)
+    return of_zeros(name, sizes, count) if left_out(value) else traced(name, value, "t x v u", count, made)
 
 
 def _running_cost(name: str, value: Any, made: Made) -> ca.Function:
     sizes = lengths("t x v u", made)
-    return of_zeros(name, sizes, 1) if left_out(value) else trace(name, value, sizes, "scalar")
+    return of_zeros(name, sizes, 1) if left_out(value) else traced(name, value, "t x v u", "scalar", made)
 
 
 def _breakpoints(name: str, value: Any, made: Made) -> tuple[float, ...]:
@@ -115,6 +116,7 @@ def _sides(count: Callable[[Made], int], positive: bool = False) -> Reader:
 
 STATEMENTS = {
     "start": vector,
+    "first_order": switch,
     "controls": _controls,
     "parameters": parameters,
     "rates": _rates,
@@ -158,7 +160,8 @@ class ControlProblem(Problem):
 
     Parameters
     ----------
-    lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`; left out where all components follow rates
+    lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`; left out where all components follow rates: the
+        other callables then leave out the velocities, as rates(t, x, u) and end_conditions(x0, x1)
     t_span : (t_0, t_N); with `duration_bounds` t_N is a guess
     start, end : d positions each, or a number where d = 1; None leaves the component free, as None as a whole does all
     start_velocity, end_velocity : d velocities each; None leaves the component free
@@ -212,8 +215,8 @@ class ControlProblem(Problem):
     >>> ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=0.0, end=1.0, start_velocity=0.0, end_velocity=0.0,
     ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1).dimension
     1
-    >>> ControlProblem(rates=lambda t, x, v, u: u - x, t_span=(0, 1), start=1.0, controls=1,
-    ...     running_cost=lambda t, x, v, u: x**2 + u**2).mechanical  # of first order
+    >>> ControlProblem(rates=lambda t, x, u: u - x, t_span=(0, 1), start=1.0, controls=1,
+    ...     running_cost=lambda t, x, u: x**2 + u**2).mechanical  # of first order
     0
     >>> ball = ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 2), [1.0], [1.0], [0.0], [0.0],
     ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1,
@@ -289,7 +292,7 @@ class ControlProblem(Problem):
             start = checked_components("start", [None] * count if start is None else start, count)
         elif start is None:
             raise TypeError("give start, or the number of components where all of it is free, got neither")
-        self._state(locals())
+        self._state({**locals(), "first_order": left_out(lagrangian)})
 
     @property
     def given_positions(self) -> np.ndarray:

@@ -321,7 +321,8 @@ def _link(phases: Sequence[ControlProblem], k: int, link: Link) -> ca.Function |
     at_end = dict.fromkeys(("x", "v"), one.dimension)
     if callable(link):
         sizes = arguments(one.parameters, **at_end)
-        return positions_and_velocities(name, link, sizes, other.dimension, other.mechanical)
+        first_order = not one.mechanical and not other.mechanical
+        return positions_and_velocities(name, link, sizes, other.dimension, other.mechanical, first_order)
     if link is not None:
         after = dict.fromkeys(("x_after", "v_after"), other.dimension)
         return _limited(name, link, arguments(one.parameters, **at_end, **after))

@@ -17,6 +17,7 @@ from casadi_galerkin.problems.statements import Reader, Rule, check, read
 
 ENDS = ("start", "end")
 END_MOTIONS = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
+UNSAID = "lagrangian", "t_span", "first_order"  # by the summary of a problem
 VARIED = (*ENDS, "parameters", *END_MOTIONS, "integral_values", "energy")  # what can be varied, where a problem has it
 
 
@@ -59,7 +60,7 @@ class Problem:
 
     def __repr__(self) -> str:
         """State the problem; its callables by their names alone."""
-        stated = {name: getattr(self, name) for name in self.statements if name not in ("lagrangian", "t_span")}
+        stated = {name: getattr(self, name) for name in self.statements if name not in UNSAID}
         said = []
         for name, value in stated.items():
             if is_given(value) and "bounds" not in name:

@@ -16,6 +16,8 @@ from casadi_galerkin.calculus.numbers import components, finite, flag, numbers, 
 from casadi_galerkin.problems.bounds import bounds, bounds_with_room
 from casadi_galerkin.problems.callables import Rows, arguments, left_out, of_zeros, trace, trace_lagrangian
 
+VELOCITIES = "v", "v0", "v1"
+
 Made: TypeAlias = dict[str, Any]  # what was read, by name
 Reader: TypeAlias = Callable[[str, Any, Made], Any]
 Rule: TypeAlias = Callable[[Any], Iterable[str]]
@@ -92,12 +94,17 @@ def lengths(names: str, made: Made) -> dict[str, int]:
     return arguments(made["parameters"], **{name: others.get(name, d) for name in names.split()})
 
 
+def traced(name: str, value: Any, names: str, rows: Any, made: Made) -> ca.Function:
+    """A callable of these arguments; it may leave out velocities where there is no Lagrangian."""
+    return trace(name, value, lengths(names, made), rows, VELOCITIES if made.get("first_order") else ())
+
+
 def function(names: str, rows: Rows | str) -> Reader:
     """A callable of these arguments with values of these `rows`: "scalar", "any", or as many as "x" has."""
 
     def reader(name: str, value: Any, made: Made) -> Any:
         expected = dimension(made) if rows == "x" else rows
-        return None if value is None else trace(name, value, lengths(names, made), expected)  # type: ignore[arg-type]
+        return None if value is None else traced(name, value, names, expected, made)
 
     return reader
 
@@ -115,8 +122,8 @@ def integrals(name: str, value: Any, made: Made) -> tuple[ca.Function, tuple[flo
         return None
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise TypeError(f"{name} must be (g, values), a callable g and the values of its integrals, got {value!r}")
-    traced = trace(name, value[0], lengths("t x v", made), "any")
-    return traced, numbers(f"the values of {name}", value[1], traced.numel_out(0))
+    g = traced(name, value[0], "t x v", "any", made)
+    return g, numbers(f"the values of {name}", value[1], g.numel_out(0))
 
 
 def limited(names: str) -> Reader:
@@ -127,8 +134,8 @@ def limited(names: str) -> Reader:
             raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {value!r}")
         if value is None or left_out(value[0]):
             return of_zeros(name, lengths(names, made), 0), (), ()
-        traced = trace(name, value[0], lengths(names, made), "any")
-        return (traced, *bounds(name, (value[1], value[2]), traced.numel_out(0)))
+        g = traced(name, value[0], names, "any", made)
+        return (g, *bounds(name, (value[1], value[2]), g.numel_out(0)))
 
     return reader
 

@@ -53,10 +53,10 @@ class Case:
         if self.mixed is not None:
             mixed = self.mixed
             count = len(self.start) + len(self.parameters) - sum(a is not None for a in (*self.start, *self.end))
-            of_p["end_conditions"] = (lambda a, _, b, __, *p: mixed(ca, a, b, *p), [0.0] * count, [0.0] * count)
+            of_p["end_conditions"] = (lambda a, b, *p: mixed(ca, a, b, *p), [0.0] * count, [0.0] * count)
         rates = self.rates
         return cg.ControlProblem(
-            rates=lambda t, x, v, *p: rates(ca, t, x, *p), t_span=self.span, start=self.start, end=self.end, **of_p
+            rates=lambda t, x, *p: rates(ca, t, x, *p), t_span=self.span, start=self.start, end=self.end, **of_p
         )
 
     def here(self, tol: float) -> tuple[Callable, tuple[float, ...]]:

@@ -217,10 +217,10 @@ def zermelo():
         t_span=(0.0, 5.0),
         start=[3.66, -1.86],
         end=[0.0, 0.0],
-        running_cost=shortest,
+        running_cost=lambda t, x, u: 1,
         controls=1,
         duration_bounds=(0.1, 100.0),
-        rates=lambda t, x, v, u: [ca.cos(u[0]) - x[1], ca.sin(u[0])],
+        rates=lambda t, x, u: [ca.cos(u[0]) - x[1], ca.sin(u[0])],
     )
     return Case(problem, 5.46, crossing())
 
@@ -262,10 +262,10 @@ def brachistochrone(friction=0.3):
         t_span=(0.0, 1.0),
         start=[0.0, 0.0, 0.0],
         end=[2.0, 2.0, None],
-        running_cost=shortest,
+        running_cost=lambda t, x, u: 1,
         controls=1,
         duration_bounds=(0.1, 10.0),
-        rates=lambda t, x, v, u: [
+        rates=lambda t, x, u: [
             x[2] * ca.sin(u[0]),
             x[2] * ca.cos(u[0]),
             9.81 * (ca.cos(u[0]) - friction * ca.sin(u[0])),
@@ -280,11 +280,11 @@ def dubins():
         t_span=(0.0, 6.0),
         start=[0.0, 0.0, 0.0],
         end=[4.0, 4.0, np.pi],
-        running_cost=shortest,
+        running_cost=lambda t, x, u: 1,
         controls=1,
         control_bounds=(-1.0, 1.0),
         duration_bounds=(0.1, 50.0),
-        rates=lambda t, x, v, u: [ca.cos(x[2]), ca.sin(x[2]), u[0]],
+        rates=lambda t, x, u: [ca.cos(x[2]), ca.sin(x[2]), u[0]],
     )
     return Case(problem, np.nan, np.pi + np.sqrt(20))
 
@@ -295,9 +295,9 @@ def chain():
         t_span=(0.0, 1.0),
         start=[1.0, 0.0],
         end=[3.0, 4.0],
-        running_cost=lambda t, x, v, u: x[0] * ca.sqrt(1 + u[0] ** 2),
+        running_cost=lambda t, x, u: x[0] * ca.sqrt(1 + u[0] ** 2),
         controls=1,
-        rates=lambda t, x, v, u: [u[0], ca.sqrt(1 + u[0] ** 2)],
+        rates=lambda t, x, u: [u[0], ca.sqrt(1 + u[0] ** 2)],
     )
     return Case(problem, 5.06891, catenary())
 
@@ -347,7 +347,7 @@ def shuttle():
     """A space shuttle's reentry to the largest latitude, J. T. Betts (2010), section 6.1; units are 1e5 ft and 10 s."""
     degree = np.pi / 180
 
-    def rates(t, x, v, u):
+    def rates(t, x, u):
         height, _, latitude, speed, climb, heading = (x[i] for i in range(6))
         attack, bank = u[0] / degree, u[1]
         radius, mass = 209.029 + height, 203000 / 32.174
@@ -369,7 +369,7 @@ def shuttle():
         start=[2.6, 0.0, 0.0, 2.56, -degree, np.pi / 2],
         end=[0.8, None, None, 0.25, -5 * degree, None],
         controls=2,
-        terminal_cost=lambda t, x, v: -x[2] / degree,
+        terminal_cost=lambda t, x: -x[2] / degree,
         control_bounds=([-np.pi / 2, -89 * degree], [np.pi / 2, degree]),
         position_bounds=([0, -INF, -89 * degree, 1e-4, -89 * degree, -INF], [4, INF, 89 * degree, 4, 89 * degree, INF]),
         duration_bounds=(50.0, 400.0),

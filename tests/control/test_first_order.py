@@ -20,7 +20,7 @@ def bratu(t):
     return -2 * np.log(np.cosh((t - 0.5) * theta / 2) / np.cosh(theta / 4))
 
 
-HEAT = {"rates": lambda t, x, v: [x[1], -ca.exp(x[0])], "t_span": (0, 1), "start": [0.0, None], "end": [0.0, None]}
+HEAT = {"rates": lambda t, x: [x[1], -ca.exp(x[0])], "t_span": (0, 1), "start": [0.0, None], "end": [0.0, None]}
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
@@ -54,7 +54,7 @@ def test_errors_of_the_benchmark_are_at_most_what_is_said(name):
 def test_blasius_layer_is_found_by_newtons_method_from_a_line():
     """IPOPT is caught in a least violation there; f''(0) to sixteen digits: J. P. Boyd, SIAM Review 50 (2008)."""
     layer = cg.ControlProblem(
-        rates=lambda t, x, v: [x[1], x[2], -x[0] * x[2] / 2], t_span=(0, 12), start=[0, 0, None], end=[None, 1, None]
+        rates=lambda t, x: [x[1], x[2], -x[0] * x[2] / 2], t_span=(0, 12), start=[0, 0, None], end=[None, 1, None]
     )
     path = cg.solve(layer, cg.Galerkin(8), 12)
     assert path.x[2, 0] == pytest.approx(0.33205733621519630, abs=1e-9)
@@ -89,10 +89,10 @@ def test_gauss_points_make_it_the_mechanical_path():
 
 def test_a_periodic_condition_joins_both_ends():
     stock = cg.ControlProblem(
-        rates=lambda t, x, v: -x + ca.cos(2 * np.pi * t),
+        rates=lambda t, x: -x + ca.cos(2 * np.pi * t),
         t_span=(0, 1),
         components=1,
-        end_conditions=(lambda x0, v0, x1, v1: x1 - x0, 0, 0),
+        end_conditions=(lambda x0, x1: x1 - x0, 0, 0),
     )
     path = cg.solve(stock, cg.Galerkin(8), 4)
     exact = (np.cos(2 * np.pi * path.t) + 2 * np.pi * np.sin(2 * np.pi * path.t)) / (1 + 4 * np.pi**2)
@@ -102,7 +102,7 @@ def test_a_periodic_condition_joins_both_ends():
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_an_unknown_parameter_is_found(number):
     string = cg.ControlProblem(
-        rates=lambda t, x, v, p: [x[1], -p * x[0]],
+        rates=lambda t, x, p: [x[1], -p * x[0]],
         t_span=(0, 1),
         start=[0.0, 1.0],
         end=[0.0, None],

@@ -404,3 +404,32 @@ def test_without_controls_a_cost_may_choose_what_conditions_leave_free():
         terminal_cost=lambda t, x, v, p: (x - 0.2) ** 2,
     )
     assert fit.controls == 0
+
+
+def test_callables_of_first_order_leave_out_velocities_or_take_them():
+    short = cg.ControlProblem(
+        rates=lambda t, x, u: u - x,
+        t_span=(0, 1),
+        start=1.0,
+        controls=1,
+        running_cost=lambda t, x, u: x**2 + u**2,
+        terminal_cost=lambda t, x: x**2,
+        path_constraint=(lambda t, x, u: u, -9, 9),
+        end_conditions=(lambda x0, x1: x1 - x0, -5, 5),
+        jumps=[(0.5, lambda x: x - 0.1)],
+        waypoints=[(0.5, (lambda x: x, -3, 3))],
+    )
+    whole = replace(
+        short,
+        rates=lambda t, x, v, u: u - x,
+        jumps=[(0.5, lambda x, v: (x - 0.1, v))],
+        end_conditions=(lambda x0, v0, x1, v1: x1 - x0, -5, 5),
+    )
+    costs = [cg.solve(problem, cg.Galerkin(3), 4).cost for problem in (short, whole)]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("rates", [lambda t: 1, lambda t, x, v, u, p: u])
+def test_callables_of_first_order_of_other_arguments_are_refused(rates):
+    with pytest.raises(TypeError, match=r"rates is called as rates\(t, x, u\), got one of \(t"):
+        cg.ControlProblem(rates=rates, t_span=(0, 1), start=1.0, controls=1)
