@@ -29,10 +29,7 @@ def rows_that_depend(function: ca.Function | None, argument: int, chosen: ArrayL
     """Which values of a Function depend on the chosen entries of an argument, (values,); that of None has no values."""
     if function is None:
         return np.zeros(0, dtype=bool)
-    depend = np.zeros(function.numel_out(0), dtype=bool)
-    rows, entries = (np.array(index, dtype=int) for index in function.sparsity_jac(argument, 0).get_triplet())
-    depend[rows[np.asarray(chosen)[entries]]] = True
-    return depend
+    return pattern(function, argument)[:, np.asarray(chosen, dtype=bool)].any(axis=1)
 
 
 def entries_within(function: ca.Function, argument: int, operations: Collection[int]) -> set[int]:

@@ -80,18 +80,13 @@ class InitialProblem(Problem):
         lagrangian: Traceable,
         t_span: Sequence[float],
         start: Values,
-        *further: object,
+        *,
         momentum: Values | None = None,
         velocity: Values | None = None,
         parameters: Values | None = None,
         force: Traceable | None = None,
         constraint: Traceable | None = None,
     ) -> None:
-        if further:
-            raise TypeError(
-                "InitialProblem takes lagrangian, t_span and start in this order, and all else by name, such as "
-                f"velocity=[1.0] or momentum=[1.0], got {further[0]!r} as a fourth argument"
-            )
         if (momentum is None) == (velocity is None):
             raise ValueError(f"give either momentum or velocity, got momentum={momentum!r} and velocity={velocity!r}")
         self._state(locals())

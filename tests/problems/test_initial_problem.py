@@ -24,8 +24,3 @@ def test_bad_input_is_named(changes, message):
     given = {"lagrangian": pendulum, "t_span": (0, 1), "start": [1.0]} | changes
     with pytest.raises(ValueError, match=message):
         cg.InitialProblem(**given)
-
-
-def test_a_fourth_argument_by_its_place_is_refused():
-    with pytest.raises(TypeError, match=r"by name, such as velocity=\[1.0\] or momentum=.* got \[2.0\] as a fourth"):
-        cg.InitialProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [2.0])
