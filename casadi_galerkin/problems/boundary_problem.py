@@ -19,6 +19,7 @@ from casadi_galerkin.calculus.numbers import Values, components, counted, flag
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.problems.callables import Traceable, depends_on_time, with_multipliers
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
+from casadi_galerkin.problems.expressions import pattern, too_many
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, with_values
 from casadi_galerkin.problems.statements import (
@@ -74,25 +75,21 @@ def _twice_given(problem: BoundaryProblem) -> Iterator[str]:
 def _functions_of_ends(problem: BoundaryProblem) -> Iterator[str]:
     """An end action or end conditions that no free component can follow."""
     d, given = problem.dimension, _given_at_ends(problem)
-    free = [i for i, values in enumerate(given) if not values]
+    free = np.array([not values for values in given])
     for name in ("end_action", "end_conditions"):
         function = getattr(problem, name)
         if function is None:
             continue
-        pattern = ca.horzcat(function.sparsity_jac(0, 0), function.sparsity_jac(1, 0))
-        used = sorted(set(pattern.get_col()))
-        for i in used:
+        uses = np.hstack([pattern(function, k) for k in range(2)])
+        used = uses.any(axis=0)
+        for i in np.flatnonzero(used).tolist():
             if given[i] and ENDS[i // d] not in given[i]:
                 where = f"{ENDS[i // d]} component {i % d}"
                 yield f"{name} depends on {where}, where {min(given[i])} is given: leave out one"
-        if not set(used) & set(free):
+        if not np.any(used & free):
             yield f"{name} depends on no component that is free at the ends, so it changes nothing"
-        count, rank = function.size1_out(0), ca.sprank(ca.DM(pattern, 1.0)[:, free])
-        if name == "end_conditions" and rank < count:
-            yield (
-                f"end_conditions are {count}, but only {rank} can be met by the {counted(len(free), 'component')} free "
-                "at the ends: leave out some, or free more components with None"
-            )
+        if name == "end_conditions":
+            yield from too_many(name, uses, free)
 
 
 def _energy(problem: BoundaryProblem) -> Iterator[str]:

@@ -13,12 +13,7 @@ from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.problems.bounds import FEASIBLE, Limited
 from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
-from casadi_galerkin.problems.expressions import (
-    CONTROLS,
-    entries_of,
-    pattern,
-    rows_that_depend,
-)
+from casadi_galerkin.problems.expressions import CONTROLS, entries_of, pattern, rows_that_depend, too_many
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, section_times
 
 
@@ -153,14 +148,8 @@ def _conditions_on_free_ends(problem: Any) -> Iterator[str]:
         return
     uses = np.hstack([pattern(g, k) for k in range(g.n_in())])
     free = np.append(np.isnan(ends), np.full(uses.shape[1] - len(ends), problem.parameter_bounds is not None))
-    uses &= free
-    equal = np.equal(low, high) & uses.any(axis=1)
-    count, rank = int(np.count_nonzero(equal)), ca.sprank(ca.sparsify(ca.DM(uses[equal].astype(float))))
-    if rank < count:
-        yield (
-            f"end_conditions with equal bounds are {count}, but only {rank} can be met by the "
-            f"{counted(int(np.count_nonzero(free)), 'value')} free at the ends: leave out some, or free more with None"
-        )
+    equal = np.equal(low, high) & (uses & free).any(axis=1)
+    yield from too_many("end_conditions with equal bounds", uses[equal], free)
 
 
 def _guesses(problem: Any) -> Iterator[str]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus.numbers import counted
 
 Value = TypeVar("Value", ca.SX, ca.MX)
 
@@ -29,7 +31,17 @@ def rows_that_depend(function: ca.Function | None, argument: int, chosen: ArrayL
     """Which values of a Function depend on the chosen entries of an argument, (values,); that of None has no values."""
     if function is None:
         return np.zeros(0, dtype=bool)
-    return pattern(function, argument)[:, np.asarray(chosen, dtype=bool)].any(axis=1)
+    return np.any(pattern(function, argument)[:, np.asarray(chosen, dtype=bool)], axis=1)
+
+
+def too_many(name: str, uses: np.ndarray, free: np.ndarray) -> Iterator[str]:
+    """Say that values (k,), which use entries (k, n), are more than the free ones (n,) of these can meet."""
+    rank, values = ca.sprank(ca.sparsify(ca.DM((uses & free).astype(float)))), int(np.count_nonzero(free))
+    if rank < len(uses):
+        yield (
+            f"{name} are {len(uses)}, but only {rank} can be met by the {counted(values, 'value')} free at the ends: "
+            "leave out some, or free more with None"
+        )
 
 
 def entries_within(function: ca.Function, argument: int, operations: Collection[int]) -> set[int]:

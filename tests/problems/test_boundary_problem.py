@@ -119,7 +119,7 @@ def one(t, x, v):
         (
             {"end": [None], "end_conditions": lambda x0, x1: [x1[0] - 1, x1[0] ** 2]},
             ValueError,
-            r"end_conditions are 2, but only 1 can be met by the 1 component free at the ends: leave out",
+            r"end_conditions are 2, but only 1 can be met by the 1 value free at the ends: leave out",
         ),
         (
             {"end": [None], "end_velocity": [1.0], "end_conditions": lambda x0, x1: x1[0] - 1},
