@@ -115,7 +115,7 @@ def with_sqp(graph: ControlGraph, verbose: int, given: Mapping[str, Any]) -> ca.
     x, p, factor = graph.unknowns, graph.data, ca.MX.sym("factor")
     multipliers, told = ca.MX.sym("multipliers", graph.numbering.equations), verbose > 1
     everything = ca.Function("nlp_jac_fg", [x, p], [*graph.gradient(x, p), *graph.jacobian(x, p)])
-    curvature = [graph.whole_hessian(x, p, factor, multipliers)[1]]
+    curvature = [ca.triu2symm(graph.hessian(x, p, factor, multipliers))]
     options = {
         "jac_fg": everything,
         "hess_lag": ca.Function("nlp_hess_l", [x, p, factor, multipliers], curvature),

@@ -114,14 +114,15 @@ class TwoComparisons:
 
         It is that of a flight with `control(t)` as well.
         """
-        return max(self._unseen, self.step_in_place, self.path.between_points.flight_error)
+        between = self.path.between_points
+        return max(self._unseen, self.step_in_place, between.flight_error, float(np.max(between.constraint_excess)))
 
     @cached_property
     def _unseen(self) -> float:
         path, between = self.path, self.path.between_points
         rounding = 0.0 if path.problem.autonomous else EPS * np.max(np.abs(path.t)) / np.ptp(path.t)
         of_cost = self.of_cost(np.sum(between.jump_effects)), self.of_cost(between.missed_cost)
-        return float(max(np.max(between.constraint_excess), *of_cost, rounding))
+        return float(max(np.max(between.common_excess), *of_cost, rounding))
 
     @cached_property
     def step_in_place(self) -> float:
@@ -158,17 +159,19 @@ class TwoComparisons:
         """Relative error of durations, and of x at the same fractions of phases."""
         return SAFETY * max(_distance(self.path, other) for other in (self.same, self.better))
 
-    def mesh(self, tol: float, joints: Iterable[float], least: float) -> np.ndarray:
+    def mesh(self, tol: float, joints: Iterable[float], least: float, of_quantity: bool) -> np.ndarray:
         """Joints in the time of the better path, some of them given, with which x should be known to `tol`.
 
-        Its intervals become at least `least` parts each.
+        Its intervals become at least `least` parts each.  Bounds are kept between the points; for a quantity,
+        where the multipliers do not tell of them.
         """
         mesh, degree, between = self.better.t, self.path.method.degree, self.better.between_points
         fixed = tuple(sorted({*self.better.problem.breakpoints, *joints}))
         errors, smooth = beyond_degree(self.better)
         errors *= self.change / max(np.max(errors), TINY)
         parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
-        parts = np.maximum(parts, parts_wanted(between.constraint_excess, KINK_ORDER, tol))
+        excess = between.common_excess if of_quantity else between.constraint_excess
+        parts = np.maximum(parts, parts_wanted(excess, KINK_ORDER, tol))
         parts = np.maximum(parts, parts_wanted(between.control_misfit, KINK_ORDER, tol))
         parts = np.maximum(parts, parts_wanted(self.of_cost(1.0) * between.jump_effects, 1, tol))
         cumulated = np.append(0.0, np.cumsum(np.clip(parts, least, MOST_PARTS)))
@@ -216,9 +219,9 @@ class PhasesComparisons:
         """When it is."""
         return max(self._each, key=lambda one: one.step_in_place).step_time
 
-    def mesh(self, tol: float, _: Iterable[float], least: float) -> np.ndarray:
+    def mesh(self, tol: float, _: Iterable[float], least: float, of_quantity: bool) -> np.ndarray:
         """Joints of all phases, with which x should be known to `tol`."""
-        meshes = [one.mesh(tol, (), least) for one in self._each]
+        meshes = [one.mesh(tol, (), least, of_quantity) for one in self._each]
         return np.append(np.concatenate([mesh[:-1] for mesh in meshes]), meshes[-1][-1])
 
 

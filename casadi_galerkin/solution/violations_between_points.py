@@ -17,9 +17,10 @@ from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.functional.interval import SlopeBasis
 from casadi_galerkin.functional.mapping import at_places
-from casadi_galerkin.problems.bounds import bound_excess
+from casadi_galerkin.problems.bounds import AT_BOUND, bound_excess
 from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.expressions import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.time_jumps import Steps, integrand, jumps_in_time, may_step, moving_phases, steps_in_place
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -120,6 +121,23 @@ class BetweenPoints:
     def constraint_excess(self) -> np.ndarray:
         """As in `ControlTrajectory`."""
         return np.max(self._relative_excess, axis=0)
+
+    @property
+    def common_excess(self) -> np.ndarray:
+        """The same where neither comparisons with other paths nor multipliers tell of its cost; (N,).
+
+        It is that of positions, and of path constraints on positions alone or that no quadrature point near by meets.
+        """
+        constraint, low, high = self.problem.path_constraint
+        moving = [
+            rows_that_depend(constraint, k, np.ones(constraint.numel_in(k), dtype=bool)) for k in (VELOCITIES, CONTROLS)
+        ]
+        values, places = self.path_constraints(self.path.method.element.points), np.arange(len(self.path.t) - 1)
+        distances = [np.min(np.abs(values - np.reshape(side, (-1, 1, 1))), axis=2) for side in (low, high)]
+        met = np.pad(np.min(distances, axis=0) <= AT_BOUND * self.constraint_changes, ((0, 0), (1, 1)))
+        near = met[:, places] | met[:, places + 1] | met[:, places + 2]
+        seen = np.any(moving, axis=0)[:, None] & near
+        return np.max(np.where(np.pad(seen, ((0, len(self.path.x)), (0, 0))), 0.0, self._relative_excess), axis=0)
 
     @cached_property
     def _relative_excess(self) -> np.ndarray:
