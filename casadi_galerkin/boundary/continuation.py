@@ -35,7 +35,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import Advance, progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.curve import Crossing, Curve, Point
-from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.newton import POLISHING, Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 
 PARAMETERS_PLACE = 3  # their place among the data
@@ -48,8 +48,6 @@ ACCURACY = EPS**0.5
 # least change of an unknown that counts, over its size and over the largest change: rounding then leaves steps of
 # EPS^(2/3), below ACCURACY; and distance over the sizes of paths below which branch points are one
 LEAST_CHANGE = EPS ** (1 / 3)
-# most iterations for a fold, whose tolerance rounding may prevent, or for a path, which may be zero
-FOLD_ITERATIONS = 20
 # truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
 UNRESOLVED_FOLDS = 0.01
 # unknowns from which no determinant is computed, 0.1 s each: without an index no branch point is seen
@@ -223,7 +221,7 @@ class BranchFollower(Curve[PathPoint]):
     def solution(self, z: np.ndarray) -> Solution | None:
         """The path of a point z of the curve, verified; None where that moves it."""
         with suppress(SolveFailure):
-            found = damped_newton(self.stationarity, z[:-1], self.data(z[-1]), max_iter=FOLD_ITERATIONS)
+            found = damped_newton(self.stationarity, z[:-1], self.data(z[-1]), max_iter=POLISHING)
             return found if self.length(np.append(found.unknowns - z[:-1], 0.0)) < ACCURACY else None
         return None
 
@@ -322,7 +320,7 @@ class BranchFollower(Curve[PathPoint]):
         tangent = self.unit(before.tangent)
         ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
         level = ACCURACY * abs(rates[0] - rates[1])
-        for iteration in range(FOLD_ITERATIONS):
+        for iteration in range(POLISHING):
             if min(map(abs, rates)) < level:
                 break
             fraction = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
