@@ -103,10 +103,8 @@ def first_path_strategies(
 
     (by_ipopt, ipopt), *others = rescues(graphs.transcription(method, given.mesh).stationarity).items()
     on_given, on_fine = partial(solved, lambda: given), partial(solved, fine)
-    finds: list[Find] = [on_given]
-    if guess is not None:
-        finds += [partial(solved, resolved), partial(on_fine, ipopt)]
-    yield "Newton's method", partial(_nearest, given, finds)
+    resolving = [] if guess is None else [partial(solved, resolved), partial(on_fine, ipopt)]
+    yield "Newton's method", partial(_nearest, given, on_given, *resolving)
     for name, rescue in ((by_ipopt, ipopt), *others):
         yield name, partial(on_given, rescue)
     if _grows(problem):
@@ -124,16 +122,21 @@ def _grows(problem: BoundaryProblem) -> bool:
     return problem.force is not None or not free
 
 
-def _nearest(given: PiecewisePolynomial, finds: list[Find]) -> CriticalPoint:
-    """The first path near a guess that one of some functions finds; if there is none, the first that one finds."""
+def _nearest(given: PiecewisePolynomial, find: Find, *others: Find) -> CriticalPoint:
+    """The first path near a guess that one of some functions finds; if there is none, the first that one finds.
+
+    The last function is asked only where a path is known, but far away.
+    """
     far: CriticalPoint | None = None
-    for find in finds:
+    for tried in (find, *others):
+        if others and tried is others[-1] and far is None:
+            break
         try:
-            point = find()
+            point = tried()
         except ConvergenceError as failure:
             lost = failure
         else:
-            if len(finds) == 1 or distance_from_guess(given, point.polynomial) <= FAR_FROM_GUESS:
+            if not others or distance_from_guess(given, point.polynomial) <= FAR_FROM_GUESS:
                 return point
             far = far or point
     if far is None:
