@@ -13,7 +13,15 @@ from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.problems.bounds import FEASIBLE, Limited
 from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
-from casadi_galerkin.problems.expressions import CONTROLS, entries_of, pattern, rows_that_depend, too_many
+from casadi_galerkin.problems.expressions import (
+    CONTROLS,
+    POSITIONS,
+    VELOCITIES,
+    entries_of,
+    pattern,
+    rows_that_depend,
+    too_many,
+)
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, section_times
 
 
@@ -85,6 +93,41 @@ def determined(problem: Any) -> Iterator[str]:
         advice = "leave out some" if count > total else "give more of them, or a cost that chooses among the paths"
         wanted = f"without controls {counted(total, 'condition')} determine the path, {reasons}"
         yield f"{wanted}; got {count}, {named}: {advice}"
+
+
+def _impulses(problem: Any) -> Iterator[str]:
+    """A control that nothing limits, so that it would act as an impulse.
+
+    It has no bounds, no cost and no path constraint depends on it, and forces and rates are linear in it.  What it
+    drives then changes at once and at no cost.  This is no optimum where that is given at an end, or where nothing else
+    depends on it, as in least time; where all paths cost the same, any path is one.  What a path constraint with equal
+    bounds determines is not known; and held controls are no impulses.
+    """
+    users, limits = [problem.running_cost, problem.limits[0]], problem.limits[1:]
+    costs = any(entries_of(problem.running_cost, k) for k in (POSITIONS, VELOCITIES))
+    to_gain = costs or problem.terminal_cost is not None or problem.duration_bounds is not None
+    by_x, by_v, by_u = (
+        np.any(np.vstack([pattern(user, k) for user in users]), axis=0) for k in (POSITIONS, VELOCITIES, CONTROLS)
+    )
+    limited = by_u | np.isfinite([*problem.control_bounds, *problem.control_rate_bounds]).any(axis=0)
+    if problem.hold or limited.all() or not to_gain or np.equal(*limits).any():
+        return
+    rated = np.arange(problem.dimension) >= problem.mechanical
+    drives = np.vstack([pattern(rule, CONTROLS) for rule in (problem.force, problem.rates)])
+    limited |= (drives & (rated & by_v)[:, None]).any(axis=0)
+    counts = np.where(rated, by_x | np.isfinite(problem.position_bounds).any(axis=0), by_v)
+    velocities = np.array([problem.start_velocity, problem.end_velocity], dtype=float)
+    given = np.isfinite(np.where(rated, problem.given_positions, velocities)).any(axis=0)
+    symbols = problem.force.sx_in()
+    moves = ca.jacobian(ca.vertcat(problem.force(*symbols), problem.rates(*symbols)), symbols[CONTROLS])
+    for i in np.flatnonzero(~limited).tolist():
+        impulsive = np.any(drives[:, i] & given) or not np.any(drives[:, i] & counts)
+        if impulsive and not ca.depends_on(moves[:, i], symbols[CONTROLS][i]):
+            yield (
+                f"nothing limits the control u[{i}], so that it would act as an impulse: neither running_cost nor "
+                "path_constraint depends on it, and it has no bounds. Give control_bounds, or a running_cost that "
+                f"depends on it, such as 1e-3 * u[{i}] ** 2"
+            )
 
 
 def _bounds_at_ends(problem: Any) -> Iterator[str]:
@@ -173,6 +216,7 @@ RULES = (
     _beside_a_constraint,
     _velocities_of_rates,
     _unused,
+    _impulses,
     impossible_constraint,
     _conditions_on_free_ends,
 )

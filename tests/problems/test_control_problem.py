@@ -174,6 +174,49 @@ def test_badly_stated_problem_is_refused(name):
         double_integrator(**changes)
 
 
+UNLIMITED = {
+    "least time": {"running_cost": lambda t, x, v, u: 1, "duration_bounds": (0.1, 10)},
+    "a cost of positions": {"running_cost": lambda t, x, v, u: x[0] ** 2},
+    "a cost of velocities, between rests": {"running_cost": lambda t, x, v, u: v[0] ** 2},
+    "a cost of the end": {"running_cost": None, "terminal_cost": lambda t, x, v: (x[0] - 2) ** 2},
+    "a limit of the speed": {
+        "running_cost": lambda t, x, v, u: 1,
+        "duration_bounds": (0.1, 10),
+        "path_constraint": (lambda t, x, v, u: v, -1, 1),
+    },
+}
+LIMITED = {
+    "bounds": UNLIMITED["least time"] | {"control_bounds": (-1, 1)},
+    "a bound on the force": UNLIMITED["least time"] | {"path_constraint": (lambda t, x, v, u: u**2, 0, 1)},
+    "a velocity that may begin and end anyhow": {
+        "running_cost": lambda t, x, v, u: x[0] ** 2 + v[0] ** 2,
+        "start_velocity": [None],
+        "end_velocity": [None],
+    },
+    "a direction": UNLIMITED["least time"] | {"force": lambda t, x, v, u: ca.sin(u)},
+    "an equation that determines it": UNLIMITED["least time"] | {"path_constraint": (lambda t, x, v, u: v - t, 0, 0)},
+    "intervals on which it is held": UNLIMITED["a cost of positions"] | {"hold": True},
+    "all paths cost the same": {"running_cost": lambda t, x, v, u: t},
+}
+
+
+@pytest.mark.parametrize("name", UNLIMITED)
+def test_a_control_that_nothing_limits_is_refused(name):
+    with pytest.raises(ValueError, match=r"nothing limits the control u\[0\].* impulse: .* Give control_bounds"):
+        double_integrator(**UNLIMITED[name])
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_a_control_that_something_limits_is_taken(name):
+    assert double_integrator(**LIMITED[name]).controls == 1
+
+
+def test_a_rate_that_nothing_limits_is_refused():
+    with pytest.raises(ValueError, match=r"nothing limits the control u\[0\]"):
+        first_order(running_cost=lambda t, x, v, u: x[0] ** 2)
+    assert first_order(running_cost=lambda t, x, v, u: v[0] ** 2).mechanical == 0  # which is that of the rate
+
+
 def test_a_duration_is_within_its_bounds_up_to_rounding():
     assert 0.1 + 0.2 - 0.1 > 0.2
     assert double_integrator(t_span=(0.1, 0.1 + 0.2), duration_bounds=(0.2, 0.2)).t_span == (0.1, 0.1 + 0.2)
