@@ -195,7 +195,7 @@ class BoundaryGraph:
         """
         numbering, data, sizes = self.numbering, self.data(mesh), component_sizes(values.T)
         numbers, given = np.arange(1, numbering.integrals + 1), np.array(self.problem.integral_values)
-        arches = np.sin(np.pi * np.multiply.outer(numbers, parts))[:, :, None]
+        arches = np.sin(np.pi * np.multiply.outer(numbers, parts))
         path, bent, accepted = np.zeros(numbering.free), list[tuple[float, np.ndarray]](), EPS**0.5 * np.abs(given)
 
         def missed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -207,22 +207,23 @@ class BoundaryGraph:
             return residual, slopes.reshape(len(rows), *values.shape)
 
         with self.stationarity.linearization() as at, np.errstate(all="ignore"):
-            (along, flat), (_, curved) = missed(values), missed(values + arches[0] * sizes)
+            (along, flat), (_, curved) = missed(values), missed(values + np.multiply.outer(arches[0], sizes))
             if not np.any(np.abs(flat).max(axis=(1, 2)) <= EPS**0.5 * np.abs(curved).max(axis=(1, 2))):
                 return values
-            of_components = np.diag(sizes) if np.any(np.abs(along) > accepted) else ()
-            for arch in (*of_components, *(-arch for arch in of_components)):
-                heights, shapes = 1 / numbers, arches * arch
+            shapes = np.einsum("jn,id->jind", arches, np.diag(sizes))  # of every component
+            starts = np.eye(len(sizes)) if np.any(np.abs(along) > accepted) else ()
+            for start in (*starts, *(-start for start in starts)):
+                heights = np.multiply.outer(1 / numbers, start)
                 for _ in range(ARCH_ITERATIONS):
-                    here = values + np.tensordot(heights, shapes, 1)
+                    here = values + np.tensordot(heights, shapes, 2)
                     residual, slopes = missed(here)
                     if np.all(np.abs(residual) <= accepted):
                         bent.append((at.evaluate("action", path, data)[0].item(), here))
                         break
-                    by_heights = np.tensordot(slopes, shapes, ([1, 2], [1, 2]))
+                    by_heights = np.tensordot(slopes, shapes, ([1, 2], [2, 3])).reshape(len(residual), -1)
                     if not np.isfinite(by_heights).all():
                         break
-                    heights = heights - np.linalg.lstsq(by_heights, residual)[0]
+                    heights = heights - np.linalg.lstsq(by_heights, residual)[0].reshape(heights.shape)
         if not bent:
             raise ConvergenceError(
                 f"no path was found: small changes of the guess do not change its integrals, {(along + given).tolist()}"

@@ -121,24 +121,20 @@ def _integrals(problem: BoundaryProblem) -> Iterator[str]:
     changes = ca.horzcat(pull - ca.reshape(rate, count, d), slope @ ca.diag(ca.DM(free)))
     terms = ca.fabs(pull) + ca.fabs(ca.reshape(rate, count, d)) + ca.fabs(slope)
     variation = ca.Function("variation", [*symbols, acceleration], [changes, terms])
-    random, (first, last) = np.random.default_rng(0), problem.t_span
+    random, (first, last), rank = np.random.default_rng(0), problem.t_span, -1
     start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))
-    sizes = component_sizes(np.array([start, end]).T)
-    found, largest = [], np.full(count, TINY)
-    for _ in range(2 * count):
-        when, (x, v, a) = random.uniform(), random.normal(size=(3, d)) * sizes
-        x += start + when * (end - start)
-        row, size = (
-            np.array(m)
-            for m in variation(first + when * (last - first), x, v / (last - first), a / (last - first) ** 2)
-        )
-        if np.isfinite([row, np.tile(size, 2)]).all():
-            found.append(row * np.tile(sizes, 2))
-            largest = np.maximum(largest, np.max(size * sizes, axis=1))
-    if not found:
-        return
-    rank = np.linalg.matrix_rank(np.hstack(found) / largest[:, None], tol=EPS**0.5)
-    if rank < count:
+    for unit in np.multiply.outer(10.0 ** np.arange(-8, 9), component_sizes(np.array([start, end]).T)):
+        found, largest = list[np.ndarray](), np.full(count, TINY)  # nothing tells the size of what is zero at the ends
+        for _ in range(2 * count):
+            when, (x, v, a) = random.uniform(), random.normal(size=(3, d)) * unit
+            place = x + start + when * (end - start), v / (last - first), a / (last - first) ** 2
+            changed, size = (np.array(m) for m in variation(first + when * (last - first), *place))
+            if np.isfinite(changed).all() and np.isfinite(size).all():
+                found.append(changed * np.tile(unit, 2))
+                largest = np.maximum(largest, np.max(size * unit, axis=1))
+        if found:
+            rank = max(rank, int(np.linalg.matrix_rank(np.hstack(found) / largest[:, None], tol=EPS**0.5)))
+    if 0 <= rank < count:
         yield (
             f"integral_conditions are {count}, but only {rank} of the integrals can be given one by one: the "
             "others are the same for all paths between these ends, or follow from them. Leave them out"

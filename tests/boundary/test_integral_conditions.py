@@ -290,6 +290,23 @@ def test_conditions_that_do_not_fit_are_refused(conditions, kind, message):
         cg.BoundaryProblem(free, (0, 1), [0.0], [0.0], integral_conditions=conditions)
 
 
+@pytest.mark.parametrize(("action", "length", "time"), [(1e9, 1e-6, 1e3), (1e-8, 1e5, 1e-4)])
+def test_units_change_no_digit_of_a_multiplier(action, length, time):
+    def stretched(t, x, v):
+        return ca.sqrt(1 + (v[0] * time / length) ** 2) / time
+
+    problem = held(
+        stretched, [3.0], lagrangian=lambda t, x, v: action * x[0] / length * stretched(t, x, v), t_span=(-time, time)
+    )
+    mu = catenary() * np.cosh(1 / catenary())
+    assert cg.solve(problem, tol=1e-11).integral_multipliers == pytest.approx([action * mu], rel=1e-11)
+
+
+def test_powers_of_one_component_are_two_integrals():
+    path = cg.solve(held(lambda t, x, v: [x[0] ** 2, x[0] ** 4], [1.0, 1.6]), tol=1e-9)
+    assert path.estimate_error() <= 1e-9
+
+
 def test_an_integral_of_the_velocity_is_given_where_an_end_is_free():
     path = cg.solve(held(lambda t, x, v: v[0], [2.0], end=[None]), METHOD, 2)
     assert path.x[0, -1] == pytest.approx(2.0, abs=CLOSED_FORM)
