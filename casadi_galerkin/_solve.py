@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, overload
 
@@ -59,7 +60,7 @@ def solve(
 def solve(
     problem: Phases,
     method: Galerkin | None = None,
-    intervals: int | None = None,
+    intervals: int | Sequence[int] | None = None,
     *,
     tol: float | None = None,
     mesh: ArrayLike | None = None,
@@ -90,7 +91,7 @@ def solve(
 def solve(
     problem: BoundaryProblem | InitialProblem | ControlProblem | Phases,
     method: Galerkin | None = None,
-    intervals: int | None = None,
+    intervals: Any = None,
     *,
     tol: float | None = None,
     of: Quantity | None = None,
@@ -124,7 +125,7 @@ def solve(
     ----------
     problem : BoundaryProblem, InitialProblem, ControlProblem or Phases
     method : Galerkin
-    intervals : number of equal intervals; or
+    intervals : number of equal intervals, or a list with one for each phase or section between breakpoints; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     tol : relative tolerance between 0 and 1
     of : callable, a path -> a number, or an array whose shape does not depend on the mesh, such as
@@ -213,7 +214,7 @@ def solve(
 def _graph(
     problem: BoundaryProblem | ControlProblem | Phases,
     method: Galerkin | None,
-    intervals: int | None,
+    intervals: Any,
     mesh: ArrayLike | None,
     mapping: PointMap = by_rows,
 ) -> Transcription | ControlTranscription:
@@ -260,7 +261,7 @@ def transcribe(
 def transcribe(
     problem: ControlProblem | Phases,
     method: Galerkin,
-    intervals: int | None = None,
+    intervals: int | Sequence[int] | None = None,
     *,
     mesh: ArrayLike | None = None,
 ) -> ControlTranscription: ...
@@ -282,7 +283,7 @@ def transcribe(
 def transcribe(
     problem: BoundaryProblem | ControlProblem | Phases,
     method: Galerkin | None = None,
-    intervals: int | None = None,
+    intervals: Any = None,
     *,
     mesh: ArrayLike | None = None,
     tol: float | None = None,

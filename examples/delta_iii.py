@@ -68,8 +68,7 @@ def main():
     heavy = {"terminal_cost": lambda t, x, v: -x[3], "duration_bounds": (0.1, 700 / TIME)}
     links = [lambda x, v, empty=empty: ([x[:3], x[3] - empty], v) for empty in EMPTY]
     phases = cg.Phases([first, second, third, phase(3, end_conditions=(miss, 0, 0), **heavy)], links)
-    mesh = phases.mesh([5, 4, 5, 8])
-    return cg.solve(phases, cg.Galerkin(degree=4), mesh=mesh, guess=(guess, lambda t: [0.6, 0.8, 0]))
+    return cg.solve(phases, cg.Galerkin(degree=4), [5, 4, 5, 8], guess=(guess, lambda t: [0.6, 0.8, 0]))
 
 
 def draw(path):

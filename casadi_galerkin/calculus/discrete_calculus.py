@@ -14,6 +14,9 @@ Where the paper's text has to be read with care, this module follows the mathema
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -154,14 +157,25 @@ class DiscreteCalculus:
 
 
 def mesh_of(
-    t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None, breakpoints: tuple[float, ...]
+    t_span: tuple[float, float],
+    intervals: int | Sequence[int] | None,
+    mesh: ArrayLike | None,
+    breakpoints: tuple[float, ...],
 ) -> np.ndarray:
     """Joints from a number of intervals, or from the joints themselves; exactly one must be given.
 
-    The intervals are equally long, or as nearly so as breakpoints allow; joints that are given must include these.
+    The intervals are equally long, or as nearly so as breakpoints allow, or as many between any two breakpoints as are
+    given; joints that are given must include these.
     """
     if (intervals is None) == (mesh is None):
         raise ValueError(f"give either intervals or mesh, got intervals={intervals!r} and mesh={mesh!r}")
+    if isinstance(intervals, (tuple, list)):
+        marks, counts = [t_span[0], *breakpoints, t_span[1]], [whole_number("intervals", count) for count in intervals]
+        if len(counts) != len(breakpoints) + 1:
+            sections = counted(len(breakpoints) + 1, "section")
+            raise ValueError(f"intervals must be a number, or one for each of {sections}, got {intervals!r}")
+        parts = [np.linspace(*ends, count, endpoint=False) for ends, count in zip(pairwise(marks), counts, strict=True)]
+        return time_scale(np.append(np.concatenate(parts), t_span[1]))
     if mesh is None:
         count = whole_number("intervals", intervals)
         if count <= len(breakpoints):

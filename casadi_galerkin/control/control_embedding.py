@@ -251,10 +251,9 @@ class PhaseEmbedding:
         yield rows["motion"][:, 0], f["momentum"][:-1], 1.0
         yield rows["start"], f["momentum"][0], 1.0
         yield rows["end"], f["momentum"][-1], 1.0
-        if self.chain.free:
-            constants = np.concatenate([f[name] for name in self.chain.free], axis=1)
-            yield rows["constants"], constants[1:], 1.0
-            yield rows["constants"], constants[:-1], -1.0
+        for name in self.chain.free:
+            yield rows[name], f[name][1:], 1.0
+            yield rows[name], f[name][:-1], -1.0
 
 
 class Embedding:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain as chained
 
 import numpy as np
@@ -125,7 +125,7 @@ class Chain:
         (N + 1, 1), the time of the start, and the duration, and "parameters" (N + 1, count), equal at all joints.  And
         data: "left" and "part" (N,), the time from the start to the interval, and the length of the interval, both
         over the duration; "sizes" (mechanical,), the units of the momenta
-    rows : name -> equations: "x", "momentum", "constants" (N, ...) determine the next states; "motion"
+    rows : name -> equations: "x", "momentum", and the free constants (N, ...) determine the next states; "motion"
         (N, m, mechanical) are the equations of motion of the nodes before the last; "rates" (N, m, others); "path"
         (N, r, count); "constraint" (N, m, constraints) and "start_constraint" are a constraint, "start_tangent" and
         "end_tangent" its time derivative; "start", "end" (mechanical,) are ∂L/∂v = p at the ends; "ends" are the end
@@ -204,7 +204,7 @@ class Chain:
         once = {field.name: fields[field.name][0] for field in (*at_start, at_end, *given)}
         alike = {c.name: np.broadcast_to(fields[c.name], (n + 1, *c.shape)) for c in constants}
         self.fields = {**fields, **once, **alike}
-        self.free_constants = length(free)
+        self._tied = [replace(constant, at=1.0) for constant in free]
         self.unknown_kinds = kinds_of(self.unknown_stages, self.fields)
 
     def _number_equations(self) -> None:
@@ -213,11 +213,10 @@ class Chain:
         constraint, tangent = ("constraint {}", "constraint", held), ("the rate of constraint {}", "tangent", held)
         changed = "the rate of u[{}]", "changes", range(self.changes)
         over_joints = Field("joint_changes", *changed)
-        constants = "the continuity of a time or parameter[{}]", "constants", range(self.free_constants)
         tied = [
             Field("x", "the continuity of x[{}]", "x", range(d), 1.0),
             Field("momentum", *motion, 1.0),
-            Field("constants", *constants, 1.0),
+            *self._tied,
         ]
         test_points = np.array(gauss(self.method.degree).points)
         inner = [

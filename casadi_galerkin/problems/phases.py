@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, TypeAlias
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.bounds import FEASIBLE, Limit, Limited, bounds
@@ -251,15 +250,6 @@ class Phases:
     def hold(self) -> bool:
         """Whether the controls of any phase are held."""
         return any(phase.hold for phase in self.phases)
-
-    def mesh(self, intervals: Sequence[int]) -> np.ndarray:
-        """Joints with a number of intervals for every phase."""
-        if len(intervals) != len(self.phases):
-            raise ValueError(f"intervals must be {len(self.phases)} numbers, one for every phase, got {intervals!r}")
-        meshes = [
-            mesh_of(phase.t_span, n, None, phase.breakpoints) for phase, n in zip(self.phases, intervals, strict=True)
-        ]
-        return np.append(np.concatenate([mesh[:-1] for mesh in meshes]), meshes[-1][-1])
 
     def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float] | None = None) -> Phases:
         """Copy with other values given at the start of the first phase and at the end of the last."""

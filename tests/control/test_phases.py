@@ -127,10 +127,10 @@ def test_phases_with_equal_statements_share_their_functions():
 
 def test_each_phase_has_intervals_of_its_own():
     phases = bouncing()
-    path = cg.solve(phases, cg.Galerkin(3), mesh=phases.mesh([1, 3]))
+    path = cg.solve(phases, cg.Galerkin(3), intervals=[1, 3])
     assert [len(phase.t) - 1 for phase in path.phases] == [1, 3]
-    with pytest.raises(ValueError, match="intervals must be 2 numbers, one for every phase, got"):
-        phases.mesh([1])
+    with pytest.raises(ValueError, match=r"intervals must be a number, or one for each of 2 sections, got \[1\]"):
+        cg.solve(phases, cg.Galerkin(3), [1])
 
 
 def test_a_summary_has_every_phase():
@@ -227,7 +227,7 @@ def treated():
 def test_a_tumor_shrinks_as_published_in_two_phases_of_which_one_has_no_control():
     """Without a guess, the second phase begins where the law of the first leads, as its rates have no value at zero."""
     phases = treated()
-    path = cg.solve(phases, cg.Galerkin(4), mesh=phases.mesh([32, 8]))
+    path = cg.solve(phases, cg.Galerkin(4), intervals=[32, 8])
     assert path.cost * (5.83 / 0.00873) ** 1.5 == pytest.approx(7571.67158, rel=3e-7)
     assert np.isnan(path.control(1.0)).all()
 
