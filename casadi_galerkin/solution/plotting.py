@@ -285,15 +285,15 @@ def animate_linkage(
     return FuncAnimation(drawn, frame, frames=len(times), interval=1000 * interval)
 
 
-LOOKS = {"color": COLORS, "linestyle": ("-", "--", ":", "-."), "marker": ("o", "s", "^", "D", "v", "P", "*")}
+LOOKS = {"color": COLORS, "marker": ("o", "s", "^", "D", "v", "P", "*")}
 
 
 def plot_work_precision(
-    lines: Sequence[tuple[tuple[str, str, str], Points]], front: Points, floor: float, label: str, axes: Axes | None
+    lines: Sequence[tuple[Sequence[str], Points]], front: Points, floor: float, label: str, axes: Axes | None
 ) -> Axes:
     """Draw errors over seconds on logarithmic axes, and the floor below which errors mean nothing.
 
-    Each of the lines has names of its color, its dashes and its dots; no other point betters one of the front.
+    Each of the lines has names of its color and its dots; no other point betters one of the front.
     """
     from matplotlib.lines import Line2D
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
@@ -310,12 +310,12 @@ def plot_work_precision(
     for k, (style, values) in enumerate(LOOKS.items()):
         names = dict.fromkeys(key[k] for key, _ in lines)
         chosen.append({name: {style: values[i % len(values)]} for i, name in enumerate(names)})
-        if k == 0 or len([name for name in names if name]) > 1:  # a single rule or solver is not named
+        if k == 0 or len([name for name in names if name]) > 1:  # a single solver is not named
             sample = {"color": "0.3", "linestyle": "" if style == "marker" else "-"}
             entries += [Line2D([], [], label=name, **sample | look) for name, look in chosen[k].items() if name]
     for key, points in lines:
-        color, dashes, dots = (looks[name] for looks, name in zip(chosen, key, strict=True))
-        draw(points, markersize=4, linewidth=1, **color, **dashes, **dots)
+        color, dots = (looks[name] for looks, name in zip(chosen, key, strict=True))
+        draw(points, markersize=4, linewidth=1, **color, **dots)
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())

@@ -1,9 +1,8 @@
 """Errors of a path against a reference: a path or a callable that is given, or else a solve near rounding.
 
 The reference is solved for to a tolerance below which boundary and control problems have little left to gain; an
-initial problem takes four degrees more on the joints of the finest row.  Its own errors are its differences from a
-path of two degrees more on the same joints.  A callable tells the path alone: action, cost and energy are then those of
-the solve.
+initial problem takes four degrees more on the joints of the finest row.  Its own error is its difference from a path of
+two degrees more on the same joints.
 """
 
 from __future__ import annotations
@@ -12,21 +11,17 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin._solve import solve
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import APART, counted
 from casadi_galerkin.control.idle_breakpoints import with_joined_phases
-from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import Problem, map_times, section_times
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import LimitReached
 from casadi_galerkin.solution.guess import check_finite_values, sampled
 from casadi_galerkin.solution.path import DRAWN_TIMES
@@ -63,10 +58,10 @@ def check_reference(problem: AnyProblem, given: Reference, of: Quantity | None) 
 
 
 class ReferenceSolution:
-    """What errors are measured against: the path, action or cost, and energy of a reference, and their sizes.
+    """What errors are measured against: a path, and a quantity of it that the user names.
 
     Paths are compared at the same fractions of the durations between breakpoints, because a control problem may leave
-    these durations free, and its path may jump at breakpoints.  A quantity that the user names is measured, too.
+    these durations free, and its path may jump at breakpoints.
 
     Parameters
     ----------
@@ -78,12 +73,6 @@ class ReferenceSolution:
     def __init__(self, path: Trajectory, of: Quantity | None, given: Reference | None = None) -> None:
         self._path, self._of = path, of
         self._at = path if given is None else partial(sampled, "the reference", given, dimension=len(path.x))
-        self._lagrangian = path.motion.numeric.lagrangian
-        calculus = DiscreteCalculus(path.method, path.t)
-        values, kinetic = self._terms(path, calculus.quadrature_times)
-        self._energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
-        self._functional, size = _functional(path), float(calculus.weights @ np.abs(values))
-        self._functional_size = (abs(self._functional) if isinstance(path, ControlTrajectory) else size) or 1.0
         self._quantity = np.zeros(()) if of is None else quantity(of, given or path)
 
     def errors(self, path: Trajectory) -> dict[str, Any]:
@@ -93,50 +82,16 @@ class ReferenceSolution:
         joint_error = np.max(np.abs(path.x - self._at(joints)) / sizes)
         between_error = np.max(np.abs(path(times) - self._at(self._matching(path, times))) / sizes)
         lasted, lasting = (np.subtract(times, times[0]) for times in (marks, self._matching(path, np.array(marks))))
-        path_error = float(max(joint_error, between_error, np.max(np.abs(lasted - lasting)) / (own[-1] - own[0])))
-        error = path_error
+        error = float(max(joint_error, between_error, np.max(np.abs(lasted - lasting)) / (own[-1] - own[0])))
+        errors = {"error": error, "path_error": error, "joint_error": float(joint_error)}
         if self._of is not None:
-            error = float(np.max(np.abs(quantity(self._of, path) - self._quantity))) / size_of(self._quantity)
-        return {
-            "error": error,
-            "path_error": path_error,
-            "joint_error": float(joint_error),
-            "functional_error": abs(_functional(path) - self._functional) / self._functional_size,
-            "energy_error": float(np.max(np.abs(path.energy - self._energy(self._path, joints)))) / self._energy_size,
-        }
-
-    def own_errors(self, other: Trajectory) -> dict[str, Any]:
-        """Its own errors, estimated by the differences of a finer path.
-
-        Energies are compared between the joints, too: a row may have a joint there, at which its energy is compared
-        with that along the polynomial of the reference.
-        """
-        errors, times = self.errors(other), _between(other)
-        missed = self._energy(self._path, self._matching(other, times)) - self._energy(other, times)
-        between = float(np.max(np.abs(missed))) / self._energy_size
-        return errors | {"energy_error": max(errors["energy_error"], between)}
+            missed = np.abs(quantity(self._of, path) - self._quantity)
+            errors["error"] = float(np.max(missed)) / size_of(self._quantity)
+        return errors
 
     def _matching(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
         """Times of the reference at the same parts of the durations between breakpoints."""
         return map_times(times, _marks(path.problem), _marks(self._path.problem))
-
-    def _terms(self, path: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """L and p·v along a path, (K,) each."""
-        t, x, v = symbols = self._lagrangian.sx_in()
-        value = self._lagrangian(*symbols)
-        terms = ca.Function("terms", [t, x, v], [ca.densify(value), ca.densify(ca.jtimes(value, v, v))])
-        first, second = at_places(terms, times, path(times), path(times, 1))
-        return first[0], second[0]
-
-    def _energy(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
-        """Energy along a path, (K,)."""
-        lagrangian, kinetic = self._terms(path, times)
-        return kinetic - lagrangian
-
-
-def _functional(path: Trajectory) -> float:
-    """The cost of an optimization, else the action."""
-    return path.cost if isinstance(path, ControlTrajectory) else path.action
 
 
 def _between(path: Trajectory) -> np.ndarray:

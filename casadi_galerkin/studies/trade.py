@@ -208,7 +208,7 @@ def trade(
     intervals : several numbers of equal intervals
     reference : a Trajectory or a callable t -> (d,) over the same time span, that errors are differences to; where the
         duration is free, a Trajectory of any; default a solve several digits finer, whose own error is estimated and
-        reported.  A callable tells the path alone: action, cost and energy are compared with those of such a solve
+        reported
     tolerances : several numbers, as `solve` takes them
     solvers : several Solvers, as `solve` takes them; default the usual one.  Not for an InitialProblem
     shooting : whether to `shoot` as well, by every method on every number of intervals; for a BoundaryProblem
@@ -265,19 +265,17 @@ def trade(
 
 def _truth(
     problem: AnyProblem, given: Reference | None, of: Quantity | None, paths: list[Trajectory]
-) -> tuple[ReferenceSolution, str, dict[str, Any]]:
-    """What errors are measured against, in words, and its own errors by their names in a `Row`, where known."""
+) -> tuple[ReferenceSolution, str, float]:
+    """What errors are measured against, in words, and its own error, zero where none is known."""
     if isinstance(given, Trajectory):
-        known, own = given.error_estimate, dict[str, Any]()
-        if known is not None:
-            own = {"error": known, "path_error": known}
-        return ReferenceSolution(given, of), "given" + (f", own error {known:.1e}" if known else ""), own
-    fine, finer = finest(problem, paths)
+        known = given.error_estimate or 0.0
+        return ReferenceSolution(given, of), "given" + (f", own error {known:.1e}" if known else ""), known
     if given is not None:
-        return ReferenceSolution(fine, of, given), "given", {}
+        finest_row = max(paths, key=lambda path: path.polynomial.values.size)
+        return ReferenceSolution(finest_row, of, given), "given", 0.0
+    fine, finer = finest(problem, paths)
     truth = ReferenceSolution(fine, of)
-    own = truth.own_errors(finer)
-    own["path_error"] = max(own["path_error"], fine.error_estimate or 0.0)
+    own = float(truth.errors(finer)["error"])
     if of is None:
-        own["error"] = own["path_error"]
-    return truth, f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own['error']:.1e}", own
+        own = max(own, fine.error_estimate or 0.0)
+    return truth, f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}", own

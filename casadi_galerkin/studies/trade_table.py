@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, cast
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted, finite
-from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -33,10 +30,7 @@ if TYPE_CHECKING:
 LEAST_ERROR = 64 * EPS  # errors below cannot be told from rounding
 PLATEAU_FACTOR = 30.0  # errors below so many times the floor take no part in the fit of an order
 MOST_SHOWN = 40  # rows of a table; of more, only those of the front are shown
-HOW, WORDS = ("*", "degree", "rule", "intervals", "solved by"), ("*", "rule", "solved by")
-COST_COLUMNS = ("unknowns", "first/ms", "solve/ms", "iterations")
-ERROR_COLUMNS = ("path", "at joints", "functional", "energy")
-RULES = {"Gauss": gauss, "Lobatto": lobatto, "Radau": radau}
+HEADS = ("*", "method", "intervals", "solved by", "unknowns", "first/ms", "solve/ms", "iterations", "path", "at joints")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -60,8 +54,6 @@ class Row:
     error : of the quantity that the trade measures, and where none is named, of the path
     path_error : largest error of the path, at the joints and between them, relative to the size of each component
     joint_error : the same at the joints
-    functional_error : of the action relative to ∫ |L| dt, or of the cost of a control problem relative to the cost
-    energy_error : largest error of the energy at the joints, relative to the largest of its terms |p·v| + |L|
     failure : why there is no answer; the numbers above are then NaN or 0.  None if there is one
 
     Examples
@@ -89,8 +81,6 @@ class Row:
     error: float = np.nan
     path_error: float = np.nan
     joint_error: float = np.nan
-    functional_error: float = np.nan
-    energy_error: float = np.nan
     failure: str | None = None
 
     def solve(self, problem: AnyProblem, guess: Guess | None = None) -> Trajectory:
@@ -141,8 +131,7 @@ class Trade(Table, Pictured):
     ----------
     rows : one for each way, in the order in which they were asked for
     reference : what the errors are differences to
-    reference_errors : its own estimated errors by their names in a Row, as far as they are known; in a Row, smaller
-        ones mean nothing.  Of a reference that was given, only its `error_estimate` is known, if it has one
+    reference_error : its own estimated error, below which those of rows mean nothing; 0 where none is known
     quantity : name of what `Row.error` is the error of; None where it is the path
 
     Examples
@@ -156,13 +145,8 @@ class Trade(Table, Pictured):
 
     rows: tuple[Row, ...]
     reference: str
-    reference_errors: Mapping[str, Any] = field(default_factory=dict)
+    reference_error: float = 0.0
     quantity: str | None = None
-
-    @property
-    def reference_error(self) -> float:
-        """The reference's own estimated `error`, 0 where none is known."""
-        return self.reference_errors.get("error", 0.0)
 
     def front(self) -> list[Row]:
         """Rows that no other row beats in both time of a repeated solve and error (the Pareto set), fastest first.
@@ -216,14 +200,16 @@ class Trade(Table, Pictured):
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw errors over the times of repeated solves, and the floor below which errors mean nothing.
 
-        A line joins the rows of one way: its color is the degree, its dashes are the rule, its dots say how it is
-        solved.  The broad line is the front.  Returns Matplotlib's axes.
+        A line joins the rows of one method and way: its color is the degree, its dots say how it is solved.  The broad
+        line is the front.  Returns Matplotlib's axes.
         """
-        lines: dict[tuple[Galerkin | None, tuple[str, str, str]], list[tuple[float, float]]] = {}
+        lines: dict[tuple[Galerkin | None, str, str], list[tuple[float, float]]] = {}
         for row in self._solved():
-            key = row.method if row.tol is None else None, _line(row)  # each tolerance finds a degree of its own
-            lines.setdefault(key, []).append((row.solve_seconds, row.error))
-        named = [(names, points) for (_, names), points in lines.items()]
+            kind = "to a tolerance" if row.adaptive else "on its mesh"  # each tolerance finds a degree of its own
+            method = row.method if row.tol is None else None
+            color = kind if method is None else f"degree {method.degree}"
+            lines.setdefault((method, color, replace(row, tol=None).way), []).append((row.solve_seconds, row.error))
+        named = [(names, points) for (_, *names), points in lines.items()]
         front = [(row.solve_seconds, row.error) for row in self.front()]
         return plot_work_precision(named, front, self.floor, f"relative error of {self.quantity or 'the path'}", axes)
 
@@ -246,29 +232,18 @@ class Trade(Table, Pictured):
         return f"Trade of {counted(len(self.rows), 'row')}, {ways} to solve; reference: {self.reference}"
 
     def __str__(self) -> str:
-        """Readable table; the front is marked with a star, and of many rows shown alone.
-
-        The last row holds the errors of the reference itself, where these are known.
-        """
+        """Readable table; the front is marked with a star, and of many rows shown alone."""
         front, named = self.front(), self.quantity is not None
         shown = self.rows if len(self.rows) <= MOST_SHOWN else front
-        heads = [*HOW, *COST_COLUMNS, *(["error"] if named else []), *ERROR_COLUMNS]
-        table = [heads, *(_cells(row, row in front, named) for row in shown)]
-        if self.reference_errors:
-            errors = _errors(Row(**self.reference_errors), named)
-            table.append(["", "", "", "", "reference itself", *[""] * len(COST_COLUMNS), *errors])
-        widths = [max(len(cells[k]) for cells in table if len(cells) == len(heads)) for k in range(len(heads))]
-        lines = [
-            "  ".join(cell.ljust(width) if head in WORDS else cell.rjust(width) for cell, width, head in columns)
-            for columns in (zip(cells, widths, heads, strict=False) for cells in table)
-        ]
+        table = [[*HEADS, *(["error"] if named else [])], *(_cells(row, row in front, named) for row in shown)]
+        widths = [max(len(cells[k]) for cells in table if len(cells) > len(HEADS) - 2) for k in range(len(table[0]))]
+        lines = ["  ".join(map(str.ljust, cells, widths)).rstrip() for cells in table]
         lines += [f"reference: {self.reference}", "*: no other row is both faster when repeated and more accurate"]
         if named:
             lines.insert(-1, f"error: of {self.quantity}")
         if len(shown) < len(self.rows):
-            lines[-1] += f"; the other {len(self.rows) - len(shown)} rows are left out"
-            lost = Counter(row.way for row in self.rows if row.failure is not None)
-            lines += [f"failed: {count} by {way}" for way, count in lost.items()]
+            failed = sum(row.failure is not None for row in self.rows)
+            lines[-1] += f"; the other {len(self.rows) - len(shown)} rows are left out, {failed} of them failed"
         return "\n".join(lines)
 
 
@@ -278,41 +253,16 @@ def name_of(of: Quantity) -> str:
     return name if name.isidentifier() else "it"
 
 
-def _line(row: Row) -> tuple[str, str, str]:
-    """Names of the color, the dashes and the dots of the line that a row is on."""
-    how = replace(row, tol=None).way
-    if row.tol is not None or row.method is None:
-        return "to a tolerance" if row.adaptive else "on its mesh", "", how
-    return f"degree {row.method.degree}", rule_of(row.method, relative=True), how
-
-
 def _cells(row: Row, best: bool, named: bool) -> list[str]:
     """A row in a table: what it is, and what it has measured, or why it has not."""
-    degree, rule = ("", "") if row.method is None else (str(row.method.degree), rule_of(row.method))
-    how = ["*" if best else "", degree, rule, str(row.intervals or ""), row.way]
+    how = ["*" if best else "", str(row.method or ""), str(row.intervals or ""), row.way]
     if row.failure is not None:
         return [*how, f"failed: {_reason(row.failure)}"]
     seconds = [f"{1e3 * value:.3f}" for value in (row.first_seconds, row.solve_seconds)]
-    return [*how, str(row.unknowns), *seconds, str(row.iterations), *_errors(row, named)]
+    errors = [row.path_error, row.joint_error, *([row.error] if named else [])]
+    return [*how, str(row.unknowns), *seconds, str(row.iterations), *(f"{value:.1e}" for value in errors)]
 
 
 def _reason(failure: str) -> str:
     """The first clause of a message."""
     return failure.partition(". ")[0].partition(": ")[0]
-
-
-def _errors(row: Row, named: bool) -> list[str]:
-    """The errors of a row, in a table."""
-    errors = [row.path_error, row.joint_error, row.functional_error, row.energy_error]
-    return [f"{value:.1e}" for value in ([row.error] if named else []) + errors]
-
-
-def rule_of(method: Galerkin, relative: bool = False) -> str:
-    """Rule of a method in few words; `relative` names its points by the degree m, such as "Lobatto(m+1)"."""
-    rule, m = method.quadrature, method.degree
-    plain = method.control_points == Galerkin(m).control_points
-    points = f"m{len(rule) - m:+d}".removesuffix("+0") if relative else str(len(rule))
-    for name, family in RULES.items():
-        if plain and len(rule) >= (2 if family is lobatto else 1) and rule == family(len(rule)):
-            return f"{name}({points})"
-    return str(method).partition(", ")[2]

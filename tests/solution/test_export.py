@@ -26,7 +26,7 @@ def answers():
     ends = [f"{end}_{name}[0]" for name in ("x", "momentum") for end in ("start", "end")]
     over = [{"end": [2.0]}, {"guess": lambda t: [np.nan]}, {"end": [3.0]}]
     swept = cg.sweep(oscillator_problem(), over, cg.Galerkin(3), 4)
-    errors = [f"{of}error" for of in ("", "path_", "joint_", "functional_", "energy_")]
+    errors = [f"{of}error" for of in ("", "path_", "joint_")]
     costs = ["tol", "unknowns", "first_seconds", "solve_seconds", "iterations", *errors]
     traded = cg.trade(oscillator_problem(), [cg.Galerkin(3)], [2, 4], tolerances=[1e-3])
     return [

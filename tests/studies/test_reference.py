@@ -19,7 +19,7 @@ def test_solved_and_exact_reference_give_the_same_errors(oscillator, measured):
     assert measured.reference_error < REFERENCE
     assert exact.reference_error == 0.0
     for ours, theirs in zip(measured.rows, exact.rows, strict=False):
-        for name in ("error", "joint_error", "functional_error", "energy_error"):
+        for name in ("error", "joint_error"):
             assert getattr(ours, name) == pytest.approx(getattr(theirs, name), rel=1e-5, abs=3 * REFERENCE)
 
 
@@ -85,7 +85,7 @@ def test_a_reference_across_a_jump_of_the_control_has_a_joint_there():
         running_cost=lambda t, x, v, u: 1.0, control_bounds=(-1.0, 0.5), duration_bounds=(0.5, 10.0)
     )
     measured = cg.trade(fastest, [cg.Galerkin(3)], [8], tolerances=[1e-3])
-    assert max(measured.reference_error, measured.rows[1].energy_error) < 1e-5
+    assert measured.reference_error < 1e-5
 
 
 def test_periodic_paths_count_their_first_joint_once():
@@ -101,21 +101,7 @@ def test_parameters_reach_the_reference():
         lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2, (0.0, 1.0), [0.0], [np.sin(2.0)], parameters=[4.0]
     )
     measured = cg.trade(problem, [cg.Galerkin(8)], (8,), reference=lambda t: [np.sin(2 * t)])
-    assert max(measured.rows[0].error, measured.rows[0].functional_error, measured.rows[0].energy_error) < REFERENCE
-
-
-@pytest.mark.slow
-def test_a_callable_tells_the_path_and_a_solve_its_cost_and_energy():
-    """Whatever its mass, 2 / 7 in the optimum of 6 p² + (p - 2)², the path is the same."""
-    problem = double_integrator(
-        lagrangian=lambda t, x, v, p: p[0] * v[0] ** 2 / 2,
-        force=lambda t, x, v, u, p: u,
-        running_cost=lambda t, x, v, u, p: u[0] ** 2 / 2 + (p[0] - 2) ** 2,
-        parameters=[1.0],
-        parameter_bounds=(0.1, 3.0),
-    )
-    (row,) = cg.trade(problem, [cg.Galerkin(3)], [2], reference=lambda t: [3 * t**2 - 2 * t**3]).rows
-    assert max(row.error, row.functional_error, row.energy_error) < 1e-8  # IPOPT's tolerance
+    assert measured.rows[0].error < REFERENCE
 
 
 @pytest.mark.slow
@@ -158,21 +144,6 @@ def test_an_exception_of_a_quantity_is_a_failure_that_names_it(oscillator):
         cg.trade(oscillator, [cg.Galerkin(4)], [4], lambda t: [np.sin(t)], of=lambda path: {}["reach"])
 
 
-def layer(t):
-    """The path of ε x'' = x for √ε = 1e-4."""
-    return [np.exp(-1e4 * t)]
-
-
-@pytest.mark.slow
-def test_action_and_energy_of_a_layer_are_resolved_beside_a_callable():
-    """On 500 equal intervals, the action of this layer was 6e-4 off, and so seemed that of every path."""
-    problem = cg.BoundaryProblem(lambda t, x, v: 1e-8 * v[0] ** 2 / 2 + x[0] ** 2 / 2, (0.0, 1.0), [1.0], [0.0])
-    coarse, fine = cg.trade(problem, [cg.Galerkin(8)], [4], layer, tolerances=[1e-9]).rows[:2]
-    assert fine.functional_error < 1e-12
-    assert fine.energy_error < 1e-11
-    assert coarse.error > 0.1
-
-
 def test_a_callable_of_many_waves_is_compared_between_the_joints(oscillator):
     measured = cg.trade(oscillator, [cg.Galerkin(8)], [4], lambda t: [np.sin(t) + 1e-6 * abs(np.sin(9e3 * t))])
     assert measured.rows[0].error == pytest.approx(1e-6, rel=0.01)
@@ -198,8 +169,8 @@ def test_where_the_duration_is_free_a_callable_is_no_reference(problem):
 
 
 @pytest.mark.parametrize("kind", ["boundary", "initial", "rates"])
-def test_paths_without_energy_are_compared(kind):
-    """At rest, and where all components follow rates, action and energy are zero."""
+def test_paths_at_rest_are_compared(kind):
+    """At rest, and where all components follow rates."""
     still = lambda t, x, v: v[0] ** 2 / 2  # noqa: E731
     problem = {
         "boundary": lambda: cg.BoundaryProblem(still, (0.0, 1.0), [1.0], [1.0]),
@@ -207,4 +178,4 @@ def test_paths_without_energy_are_compared(kind):
         "rates": first_order,
     }[kind]()
     row = cg.trade(problem, [cg.Galerkin(2)], [4]).rows[0]
-    assert max(row.error, row.functional_error, row.energy_error) < REFERENCE
+    assert row.error < REFERENCE

@@ -218,7 +218,7 @@ def test_an_initial_problem_is_traded_step_by_step(changes, message):
 
 
 def test_a_control_problem_is_not_traded_by_solvers_of_equations():
-    with pytest.raises(ValueError, match=r"solved by cg.ipopt or cg.fatrop, got the solver cg\.newton"):
+    with pytest.raises(ValueError, match=r"solved by cg\.ipopt, cg\.fatrop or cg\.sqp, got the solver cg\.newton"):
         cg.trade(double_integrator(), [cg.Galerkin(3)], [4], solvers=[cg.newton])
 
 
@@ -260,7 +260,6 @@ def test_control_problems_are_traded_by_their_cost_and_to_tolerances():
     ways = ["ipopt, tol 1e-05", "ipopt, tol 1e-05 of it", "ipopt, mesh of 1e-05", "ipopt, mesh of 1e-05 of it"]
     assert [row.way for row in measured.rows[3:]] == ways
     assert measured.quantity == "it"
-    assert [row.error for row in measured.rows] == [row.functional_error for row in measured.rows]
     assert measured.order(degree) == pytest.approx(4, abs=BAND)
     cheap = measured.cheapest(1e-4)
     assert cheap.solve(problem).cost == pytest.approx(cg.solve(problem, tol=1e-8).cost, rel=1e-4)
@@ -329,13 +328,6 @@ def test_errors_of_paths_that_jump_at_free_times_have_the_order_of_the_method():
     measured = cg.trade(problem, [degree], (16, 32, 64))
     assert measured.order(degree) == pytest.approx(3, abs=BAND)
     assert max(row.joint_error for row in measured.rows) < 1e-4
-
-
-@pytest.mark.slow
-def test_energy_error_is_relative_to_the_whole_path():
-    """A path at rest at both ends has no energy at the joints to compare with."""
-    exact = cg.trade(double_integrator(), [cg.Galerkin(3)], (1,), reference=lambda t: [3 * t**2 - 2 * t**3])
-    assert max(exact.rows[0].error, exact.rows[0].energy_error) < REFERENCE
 
 
 @pytest.mark.slow
