@@ -83,7 +83,7 @@ def control_function(
     everything = ca.vertcat(point[0] + moved, data)
     outputs = {
         "x": ca.reshape(everything[f["x"].ravel().tolist()], chain.dimension, -1),
-        "u": ca.reshape(everything[f["controls"].ravel().tolist()], chain.controls, -1),
+        "u": ca.reshape(everything[f["controls"].ravel().tolist()], *inputs["controls"].shape),
         "duration": ca.sum1(everything[f["durations"].tolist()]),
         "cost": found["f"] + cheaper,
     }

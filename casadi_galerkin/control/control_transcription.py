@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -59,6 +60,7 @@ from casadi_galerkin.problems.control_rules import determined
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.statements import check
 from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solvers.deadline import seconds_left
@@ -251,16 +253,33 @@ class ControlTranscription:
         verbose: int,
         began: float,
     ) -> ControlTrajectory | PhasesTrajectory:
-        """The verified solution of one solver from a starting point."""
+        """The verified solution of one solver from a starting point, or of Newton's method where that finds one."""
         numbers, phases = self.numbering, phases_of(problem)
         bounds = self.bounds if problem is self.problem else bounds_of(phases, self.joins, numbers)
         unknowns, data = numbers.pack(start.values)
-        optimum, name = self._newton(unknowns, data, bounds), "Newton"
-        if optimum is None:
-            program, name = self._kept_program(solver, bool(start.duals), verbose), SOLVER_NAMES[solver.name]
-            optimum = optimize(program, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
+        verified = partial(self._verified, solver, problem, calculus, start, began)
+        root = self._newton(unknowns, data, bounds)
+        if root is not None:
+            with suppress(ConvergenceError):  # as where it violates a bound, and another root does not
+                return verified(root, "Newton")
+        program = self._kept_program(solver, bool(start.duals), verbose)
+        optimum = optimize(program, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
         if optimum.status == INVALID:
             refuse_not_finite(phases, self.graph, unknowns, data)
+        return verified(optimum, SOLVER_NAMES[solver.name])
+
+    def _verified(
+        self,
+        solver: Solver,
+        problem: ControlProblem | Phases,
+        calculus: DiscreteCalculus,
+        start: StartingPoint,
+        began: float,
+        optimum: Optimum,
+        name: str,
+    ) -> ControlTrajectory | PhasesTrajectory:
+        """The answer at the last point of a solver, which is verified."""
+        numbers, phases, bounds, data = self.numbering, phases_of(problem), optimum.bounds, optimum.data
         values, meshes = numbers.unpack(optimum.unknowns, data), meshes_of(phases, calculus.mesh)
         paths = [chain.path(*given) for chain, given in zip(numbers.chains, self._timed(values, meshes), strict=True)]
         if optimum.success:

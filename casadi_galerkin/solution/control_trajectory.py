@@ -372,7 +372,14 @@ class ControlTrajectory(Trajectory):
         axes : Matplotlib axes to draw into; default a new figure
         labels : n names of the controls with units
         time : name of the time with its unit
+
+        Raises
+        ------
+        ValueError
+            where there are no controls
         """
+        if not len(self.control.values):
+            raise ValueError("there are no controls to draw")
         lines = self.control.at(ALONG).reshape(len(self.control.values), -1, len(ALONG))
         points = self.control.times, self.control.values
         drawn = plot_path(self._broken(lines), points, axes, labels, time, "u", DOT_SIZE)

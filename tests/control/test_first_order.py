@@ -133,3 +133,17 @@ def test_an_answer_without_controls_is_printed_and_drawn():
     assert repr(path).startswith("ControlTrajectory of 2 components on [0, 1], 4 intervals\n")
     assert "cost" not in repr(path)
     assert len(path.plot().figure.axes) == 2
+    with pytest.raises(ValueError, match="there are no controls to draw"):
+        path.plot_controls()
+
+
+def test_an_answer_without_controls_is_a_casadi_function_of_its_ends():
+    answer = cg.solution_function(cg.ControlProblem(**HEAT), cg.Galerkin(4), 4)
+    path = cg.solve(cg.ControlProblem(**(HEAT | {"end": [0.1, None]})), cg.Galerkin(4), 4)
+    np.testing.assert_allclose(answer(start=[0.0], end=[0.1])["x"], path.x, rtol=0, atol=1e-9)
+
+
+def test_a_root_that_violates_a_bound_is_not_taken_for_an_answer():
+    falls = cg.ControlProblem(rates=lambda t, x: -x, t_span=(0, 1), start=1.0, position_bounds=(0.5, 2))
+    with pytest.raises(cg.ConvergenceError, match="IPOPT stopped with 'Infeasible"):
+        cg.solve(falls, cg.Galerkin(3), 4)
