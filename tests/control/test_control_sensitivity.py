@@ -196,7 +196,7 @@ def test_the_function_of_an_optimum_has_its_derivatives(solver):
         found = [by.x[datum], by.control[datum], by.durations[datum], by.cost[datum]]
         for what, derivative in zip(("x", "u", "duration", "cost"), found, strict=True):
             own = jacobian[f"jac_{what}_{datum}"].full()
-            assert np.max(np.abs(own - derivative.reshape(own.shape))) <= 1e-7
+            assert np.max(np.abs(own - derivative.reshape(own.shape))) <= AGREEMENT
 
 
 def test_derivatives_of_the_function_are_not_finite_where_a_bound_hardly_acts():
