@@ -67,12 +67,7 @@ def bound_excess(values: np.ndarray, low: ArrayLike, high: ArrayLike) -> np.ndar
     return np.maximum(np.maximum(least - values, values - most), 0.0)
 
 
-def within_rounding(values: np.ndarray, low: ArrayLike, high: ArrayLike, sizes: ArrayLike = 0.0) -> np.ndarray:
-    """Put values that leave their bounds by rounding alone on these bounds.
-
-    Rounding is relative to the bound, or to `sizes` where these are larger; to one where both are zero.
-    """
-    nearest = np.clip(values, low, high)
-    largest = np.fmax(np.abs(nearest), np.abs(sizes))
-    rounded = BOUND_ROUNDING * np.where((largest > 0) & np.isfinite(largest), largest, 1.0)
-    return np.where((nearest - rounded <= values) & (values <= nearest + rounded), nearest, values)
+def keeps_to(value: float, low: float, high: float, size: float = 0.0) -> bool:
+    """Whether a value keeps to its bounds, up to rounding of the largest of these, of `size` or of the value."""
+    rounded = BOUND_ROUNDING * max(abs(a) for a in (value, low, high, size) if np.isfinite(a))
+    return bool(low - rounded <= value <= high + rounded)

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted, finite, number
-from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, within_rounding
+from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, keeps_to
 from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.statements import VELOCITIES, Made, Reader, dimension, lengths, limited
 
@@ -85,15 +85,16 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
             f"got {positions!r}"
         )
     pairs = [x if number(x) is None else (x, x) for x in positions]
-    stated = np.array([bounds(f"the bounds of x[{i}]", pair, 1) for i, pair in enumerate(pairs)])[:, :, 0]
-    sides = within_rounding(stated.T, *within).T.tolist()
+    sides = tuple(
+        (low, high) for (low,), (high,) in (bounds(f"the bounds of x[{i}]", p, 1) for i, p in enumerate(pairs))
+    )
     for i, (least, most) in enumerate(sides):
         low, high = (side[i] for side in within)
-        if least > high or most < low:
+        if not (keeps_to(least, -np.inf, high) and keeps_to(most, low, np.inf)):
             raise ValueError(
                 f"waypoint bounds x[{i}] by [{least}, {most}], outside its position_bounds [{low}, {high}]"
             )
-    return tuple((least, most) for least, most in sides)
+    return sides
 
 
 def positions_and_velocities(

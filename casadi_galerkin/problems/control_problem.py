@@ -22,7 +22,7 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import Values, counted, times_inside, whole_number
 from casadi_galerkin.calculus.numbers import components as checked_components
-from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, within_rounding
+from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds
 from casadi_galerkin.problems.breakpoint_events import Crossing, Pairs, Waypoint, is_limited, jumps, waypoints
 from casadi_galerkin.problems.callables import Traceable, depends_on_time, left_out, of_zeros
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
@@ -173,7 +173,7 @@ class ControlProblem(Problem):
     initial_time_bounds : (lo, hi), frees the time of the start, which t_span guesses; all other times move with it
     control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
     position_bounds : (lo, hi), each a scalar or one number per component; held at the joints and the
-        control points between them.  An end beyond them by rounding is put on them
+        control points between them
     velocity_bounds : (lo, hi), each a scalar or one number per component; held at the quadrature points and, for
         components with an equation of motion, at both ends and beside jumps.  The velocity of a component that follows
         a rate is that rate.  In `path_multipliers` they stand behind the path constraints
@@ -416,11 +416,3 @@ class ControlProblem(Problem):
         if name == "velocity_bounds" and now != before:
             raise ValueError(f"{name} must bound the same components as the problem does, {before}, got {now}")
         return other
-
-    def _check_values(self) -> None:
-        """Refuse given values that contradict others; move ends that leave their bounds by rounding to the bounds."""
-        ends = self.given_positions
-        met = within_rounding(ends, *self.position_bounds, ends[::-1])
-        for name, values in zip(("start", "end"), met, strict=True):
-            self.__dict__[name] = tuple(None if np.isnan(x) else x for x in values.tolist())
-        super()._check_values()

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.calculus.roundoff import EPS, or_one
-from casadi_galerkin.problems.bounds import FEASIBLE, Limited
+from casadi_galerkin.calculus.roundoff import or_one
+from casadi_galerkin.problems.bounds import FEASIBLE, Limited, keeps_to
 from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
 from casadi_galerkin.problems.expressions import (
@@ -130,21 +131,24 @@ def _impulses(problem: Any) -> Iterator[str]:
             )
 
 
-def _bounds_at_ends(problem: Any) -> Iterator[str]:
-    """A given end, or its velocity, lies outside its bounds."""
-    of_positions, of_velocities = problem.position_bounds, problem.velocity_bounds
-    stated = [(name, "position_bounds", of_positions) for name in ENDS]
-    stated += [(name, "velocity_bounds", of_velocities) for name in END_MOTIONS[:2]]
-    for name, kind, (low, high) in [*stated, ("start", "start_bounds", problem.start_bounds)]:
-        for i, value in enumerate(getattr(problem, name)):
-            if value is not None and not low[i] <= value <= high[i]:
-                yield f"{name}[{i}] = {value} lies outside its {kind} [{low[i]}, {high[i]}]"
-    for i, (low, high) in enumerate(zip(*problem.start_bounds, strict=True)):
-        if low > of_positions[1][i] or high < of_positions[0][i]:
-            yield f"start_bounds[{i}] = ({low}, {high}) lie outside the position_bounds of x[{i}]"
-    for low, high in zip(*(problem.initial_time_bounds or ((), ())), strict=True):
-        if not low <= problem.t_span[0] <= high:
-            yield f"initial_time_bounds ({low}, {high}) must hold the guess, t_span begins at {problem.t_span[0]}"
+def _given_outside(problem: Any) -> Iterator[str]:
+    """A given value, or a guess of a free one, lies outside its bounds by more than rounding."""
+    times = section_times(problem)
+    parts = [f" of the phase from {begin} to {end}" for begin, end in pairwise(times)] if len(times) > 2 else [""]
+    stated = [(name, getattr(problem, name), "position_bounds") for name in ENDS]
+    stated += [(name, getattr(problem, name), "velocity_bounds") for name in END_MOTIONS[:2]]
+    stated += [("start", problem.start, "start_bounds"), ("parameters", problem.parameters, "parameter_bounds")]
+    named = [(f"{name}[{i}]", i, value, kind) for name, values, kind in stated for i, value in enumerate(values or ())]
+    named += [(f"the duration{part}", i, times[i + 1] - times[i], "duration_bounds") for i, part in enumerate(parts)]
+    for name, i, value, kind in [*named, ("t_span[0]", 0, times[0], "initial_time_bounds")]:
+        sides = getattr(problem, kind)
+        if value is not None and sides is not None:
+            low, high = (side[i] for side in sides)
+            if not keeps_to(value, low, high, np.max(np.abs(times)) if "duration" in name else 0.0):
+                yield f"{name} = {value} lies outside its {kind} [{low}, {high}]"
+    (low, high), (least, most) = np.array(problem.start_bounds), np.array(problem.position_bounds)
+    for i in np.flatnonzero((low > most) | (high < least)).tolist():
+        yield f"start_bounds[{i}] = ({low[i]}, {high[i]}) lie outside the position_bounds of x[{i}]"
 
 
 def _path_constraint_at_ends(problem: Any) -> Iterator[str]:
@@ -195,23 +199,6 @@ def _conditions_on_free_ends(problem: Any) -> Iterator[str]:
     yield from too_many("end_conditions with equal bounds", uses[equal], free)
 
 
-def _guesses(problem: Any) -> Iterator[str]:
-    """A guess of a free duration or parameter lies outside its bounds."""
-    times, rounded = (
-        section_times(problem),
-        2 * EPS * max(map(abs, problem.t_span)),
-    )  # of t_0 + T, and of the difference
-    for k, (low, high) in enumerate(zip(*(problem.duration_bounds or ((), ())), strict=True)):
-        lasts = times[k + 1] - times[k]
-        if not low - rounded <= lasts <= high + rounded:
-            what = "t_span" if len(times) == 2 else f"the phase from {times[k]} to {times[k + 1]}"
-            yield f"duration_bounds ({low}, {high}) must hold the guess, {what} lasts {lasts}"
-    sides = problem.parameter_bounds or ((), ())
-    for i, (low, value, high) in enumerate(zip(sides[0], problem.parameters or (), sides[1], strict=False)):
-        if not low <= value <= high:
-            yield f"parameters[{i}] = {value} lies outside its bounds [{low}, {high}]"
-
-
 RULES = (
     _beside_a_constraint,
     _velocities_of_rates,
@@ -221,10 +208,9 @@ RULES = (
     _conditions_on_free_ends,
 )
 RULES_OF_VALUES = (
-    _bounds_at_ends,
+    _given_outside,
     constraint_at_ends,
     leaving_velocity,
     _path_constraint_at_ends,
     _conditions_on_given_ends,
-    _guesses,
 )

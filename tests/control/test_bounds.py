@@ -117,7 +117,7 @@ BAD = {
     ),
     "a time outside": (
         {"initial_time_bounds": (1, 2)},
-        r"initial_time_bounds \(1.0, 2.0\) must hold the guess, .* 0.0",
+        r"t_span\[0\] = 0.0 lies outside its initial_time_bounds \[1.0, 2.0\]",
     ),
     "times in the wrong order": ({"initial_time_bounds": (1, 0)}, "initial_time_bounds must have lo <= hi"),
 }

@@ -201,7 +201,7 @@ def test_every_phase_keeps_its_own_bounds():
         "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + 100,
     }
     with pytest.raises(
-        ValueError, match=r"duration_bounds \(0.1, 0.4\) must hold the guess, the phase from 0.0 to 0.5"
+        ValueError, match=r"the duration of the phase from 0.0 to 0.5 = 0.5 lies outside its duration_bounds"
     ):
         double_integrator(breakpoints=[0.5], **fields)
     problem = double_integrator(breakpoints=[0.25], **fields)
