@@ -17,10 +17,18 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import barycentric_weights, lagrange_values
 from casadi_galerkin.calculus.numbers import counted, read_only, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
+from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 
-MIDPOINTS = (np.arange(100) + 0.5) / 100  # fractions of an interval at which the cut of a polynomial is seen
+PARTS = 16  # of an interval, to see where a polynomial is cut
 SAME_TIME = 4 * EPS  # rounding of the joint t_i + h q with q = 1, relative to the largest time
+
+
+def finer_rule(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points and weights that see the kinks of a cut polynomial through some points, and of smooth forces more."""
+    rule = gauss(count + 2)
+    points = (np.arange(PARTS)[:, None] + rule.points) / PARTS
+    return points.ravel(), np.tile(rule.weights, PARTS) / PARTS
 
 
 class ControlPath:
@@ -106,12 +114,13 @@ class ControlPath:
 
         The mean of c bumps, cut where they lead to a bound, is linear in c between the places where a sample meets one.
         """
-        u, bump = self._local @ lagrange_values(self.points, MIDPOINTS).T, self._bump(MIDPOINTS) + TINY
+        points, weights = finer_rule(len(self.points))
+        u, bump = self._local @ lagrange_values(self.points, points).T, self._bump(points) + TINY
         room, bumps = (self.bounds[:, :, None, None] - u) / bump, np.zeros(u.shape[:2])
         for k, i in np.argwhere(np.any((room[0] > 0) | (room[1] < 0), axis=2)):
             low, high = room[:, k, i]
             meeting = np.unique(room[:, k, i][np.isfinite(room[:, k, i])])
-            bumps[k, i] = np.interp(0.0, np.clip(meeting[:, None], low, high) @ bump, meeting)
+            bumps[k, i] = np.interp(0.0, np.clip(meeting[:, None], low, high) @ (weights * bump), meeting)
         return bumps
 
     @property

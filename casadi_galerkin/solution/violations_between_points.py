@@ -13,7 +13,6 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
-from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.functional.interval import SlopeBasis
 from casadi_galerkin.functional.mapping import at_places
@@ -21,13 +20,12 @@ from casadi_galerkin.problems.bounds import AT_BOUND, bound_excess
 from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import CONTROLS, VELOCITIES, rows_that_depend
-from casadi_galerkin.solution.control_path import ControlPath
+from casadi_galerkin.solution.control_path import ControlPath, finer_rule
 from casadi_galerkin.solution.time_jumps import Steps, integrand, jumps_in_time, may_step, moving_phases, steps_in_place
 from casadi_galerkin.solution.trajectory import Trajectory
 
 # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
 SAMPLING_FACTOR = 4
-PARTS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,7 @@ class BetweenPoints:
     @cached_property
     def missed_impulses(self) -> np.ndarray:
         """What the impulses of the controls as functions of time exceed those at the points by, relative; (d, N)."""
-        steps, (points, weights), (finer, its) = np.diff(self.path.t), self._rule, self._finer_rule
+        steps, (points, weights), (finer, its) = np.diff(self.path.t), self._rule, finer_rule(len(self._rule[0]))
         rates = self.motion(points)[1]
         sizes = np.abs(self.momenta).max(axis=1) + np.abs(rates) @ weights @ steps
         return (self.motion(finer)[1] @ its - rates @ weights) * steps / or_one(sizes)[:, None]
@@ -96,7 +94,7 @@ class BetweenPoints:
         """What the controls as functions of time change the cost by, to first order."""
         values = [
             at_places(self.integrand, *self.along(points))[0].reshape(-1, len(points)) @ weights
-            for points, weights in (self._rule, self._finer_rule)
+            for points, weights in (self._rule, finer_rule(len(self._rule[0])))
         ]
         return abs(float((values[1] - values[0]) @ np.diff(self.path.t)))
 
@@ -110,12 +108,6 @@ class BetweenPoints:
         """Points and weights of the quadrature."""
         rule = self.path.method.quadrature
         return np.array(rule.points), np.array(rule.weights)
-
-    @property
-    def _finer_rule(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points and weights that see the kinks of a cut control, and of smooth ones more than the quadrature does."""
-        rule, parts = gauss(len(self.path.method.quadrature) + 2), np.arange(PARTS)[:, None]
-        return ((parts + rule.points) / PARTS).ravel(), np.tile(rule.weights, PARTS) / PARTS
 
     @property
     def constraint_excess(self) -> np.ndarray:
