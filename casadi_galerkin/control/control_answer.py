@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -12,15 +12,15 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.control.control_graph import Report
-from casadi_galerkin.control.control_numbering import Chain, Numbering
+from casadi_galerkin.control.control_graph import ControlGraph, Report
+from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.control.failed_optimization import undefined
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.legendre_transform import momentum_at
-from casadi_galerkin.problems.phases import CONTINUITY, Joins, Phases
+from casadi_galerkin.problems.phases import CONTINUITY, Phases
 from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -29,45 +29,35 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 
 
-@dataclass(frozen=True)
-class OptimalPoint:
-    """The point that a solver has found.
-
-    Attributes
-    ----------
-    numbering, joins : of the program
-    optimum : Optimum
-    report : Report
-    values, paths : values of the fields, and the path, of every phase
-    """
-
-    numbering: Numbering
-    joins: Joins
-    optimum: Optimum
-    report: Report
-    values: list[dict[str, np.ndarray]]
-    paths: list[PiecewisePolynomial]
-
-
 def answer(
     problem: ControlProblem | Phases,
     phases: Sequence[ControlProblem],
-    point: OptimalPoint,
+    graph: ControlGraph,
+    optimum: Optimum,
+    report: Report,
+    found_values: Sequence[dict[str, np.ndarray]],
+    paths: Sequence[PiecewisePolynomial],
     second_order: SecondOrder,
     **solve: Any,
 ) -> ControlTrajectory | PhasesTrajectory:
-    """The answer to a problem; `solve` are attributes of its path that report on the solve."""
-    numbers, report = point.numbering, point.report
-    multipliers = point.optimum.multipliers / numbers.units(point.values)
-    bound_multipliers = point.optimum.bound_multipliers
+    """The answer to a problem.
+
+    Parameters
+    ----------
+    problem, phases : as it was solved, and what it is parted into
+    graph, optimum, report : of the program, and the point that was found
+    found_values, paths : values of the fields, and the path, of every phase
+    second_order : SecondOrder
+    solve : attributes of the path that report on the solve
+    """
+    numbers, multipliers = graph.numbering, optimum.multipliers / graph.numbering.units(found_values)
+    bound_multipliers = optimum.bound_multipliers
     whole = {**solve, "cost_size": report.cost_size, "duals": (multipliers, bound_multipliers)}
     hamiltonians = np.split(report.hamiltonian, np.cumsum([chain.intervals for chain in numbers.chains])[:-1])
     words = CONTINUITY.format("x")
-    links = {join.after + 1: f"join {i}" for i, join in enumerate(point.joins.each) if join.words == words}
+    links = {join.after + 1: f"join {i}" for i, join in enumerate(graph.joins.each) if join.words == words}
     found = list[ControlTrajectory]()
-    for k, (phase, chain, values, path) in enumerate(
-        zip(phases, numbers.chains, point.values, point.paths, strict=True)
-    ):
+    for k, (phase, chain, values, path) in enumerate(zip(phases, numbers.chains, found_values, paths, strict=True)):
         joints, mechanical, rule = path.mesh, chain.mechanical, chain.method.element.points
         parameters = None if phase.parameters is None else tuple(values["parameters"].tolist())
         span = float(joints[0]), float(joints[-1])
@@ -111,7 +101,7 @@ def answer(
         )
     if isinstance(problem, Phases):
         solved_phases = problem.found([one.problem for one in found])
-        return PhasesTrajectory(phases=tuple(found), problem=solved_phases, cost=report.cost, **whole)
+        return PhasesTrajectory(phases=_parts(found), problem=solved_phases, cost=report.cost, **whole)
     return found[0] if len(found) == 1 else _in_one(problem, phases, found, report.cost, second_order)
 
 
@@ -157,8 +147,18 @@ def _in_one(
         path_multipliers=_one_after_the_other(limits) if limits else None,
         hamiltonian=np.concatenate([part.hamiltonian for part in parts]),
         end_velocity=last.end_velocity,
-        parts=tuple(parts),
+        parts=_parts(parts),
     )
+
+
+def _parts(parts: list[ControlTrajectory]) -> tuple[ControlTrajectory, ...]:
+    """Phases that are not asked for what only the whole knows."""
+    errors, derivatives = partial(_refuse, "errors"), partial(_refuse, "derivatives")
+    return tuple(replace(part, find_comparisons=errors, find_sensitivity=derivatives) for part in parts)
+
+
+def _refuse(what: str, _: object) -> Any:
+    raise ValueError(f"a phase has no {what} of its own: ask the whole path")
 
 
 def _one_after_the_other(parts: list[ControlPath]) -> ControlPath:

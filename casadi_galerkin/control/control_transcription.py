@@ -25,7 +25,7 @@ from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.continuous_controls import continuous_controls
-from casadi_galerkin.control.control_answer import OptimalPoint, answer
+from casadi_galerkin.control.control_answer import answer
 from casadi_galerkin.control.control_graph import graph_of, meshes_of, phases_of
 from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
 from casadi_galerkin.control.initial_guess import first_values, guesses_of_phases, near_answer
@@ -296,7 +296,11 @@ class ControlTranscription:
         return answer(
             problem,
             phases,
-            OptimalPoint(numbers, self.joins, optimum, report, values, paths),
+            self.graph,
+            optimum,
+            report,
+            values,
+            paths,
             second_order,
             iterations=optimum.iterations,
             residual=violation / EPS,

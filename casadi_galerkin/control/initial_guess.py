@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from itertools import pairwise, takewhile
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -12,7 +11,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.numbers import counted, real_array
-from casadi_galerkin.calculus.piecewise_polynomial import times_at
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.control_numbering import Chain, Numbering
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -113,21 +112,15 @@ def guesses_of_phases(
         path_guess, controls = (
             of(map_times(at, own, other)) for of, at in ((guess, whole.node_times), (guess.control, times))
         )
-    path = _path(problem, whole, path_guess).T
-    nodes = np.cumsum([0, *((len(one.mesh) - 1) * one.method.degree for one in calculi)])
-    paths = [path[:, first : last + 1] for first, last in pairwise(nodes.tolist())]
     if controls is not None and not callable(controls):
-        controls = real_array("the guess of the controls", controls)
-        shape = problem.controls, len(times)
-        if controls.shape == shape:  # else it is refused where it is cut
-            cuts = (len(times) * nodes[1:-1]) // nodes[-1]
-            return list(zip(paths, np.split(controls, cuts, axis=1), strict=True))
-        _refuse_shape(problem, controls.shape, shape)
-    return [(one, controls) for one in paths]
-
-
-def _alike(one: ControlProblem, other: ControlProblem) -> bool:
-    return one.dimension == other.dimension
+        values = real_array("the guess of the controls", controls)
+        if values.shape != (problem.controls, len(times)):
+            _refuse_shape(problem, values.shape, (problem.controls, len(times)))
+        rule = whole.method.element.points
+        controls = ControlPath(mesh, np.array([0.5]) if problem.hold else rule, values, rule)
+    path = PiecewisePolynomial(mesh, whole.method.element.nodes, _path(problem, whole, path_guess).T)
+    cuts = np.cumsum([0, *(len(one.mesh) - 1 for one in calculi)]).tolist()
+    return [(path.between(*ends), controls) for ends in pairwise(cuts)]
 
 
 def _lines(problem: Phases) -> list[Any]:
@@ -145,7 +138,9 @@ def _lines(problem: Phases) -> list[Any]:
             known = law(reached, np.zeros(len(reached)), *p)[0].full().ravel()
         first = np.where(np.isnan(first), low_or_middle if len(known) != len(first) else known, first)
         target, when = np.full(phase.dimension, np.nan), np.full(phase.dimension, np.inf)
-        for later in takewhile(partial(_alike, phase), phases[k:]):
+        for later in phases[k:]:
+            if later.dimension != phase.dimension:
+                break
             for place, t in zip(later.given_positions, later.t_span, strict=True):
                 new = np.isnan(target) & np.isfinite(place) & (t > phase.t_span[0])
                 target[new], when[new] = place[new], t

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import wraps
 from typing import Any, TypeAlias, TypeGuard
 
@@ -18,28 +17,6 @@ from casadi_galerkin.problems.statements import VELOCITIES, Made, Reader, dimens
 Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
 Waypoint: TypeAlias = tuple[float, Positions | tuple[Traceable, Limit, Limit]]
 Pairs: TypeAlias = tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class Crossing:
-    """A breakpoint with a jump, or with a waypoint that bounds a function of position and velocity.
-
-    Attributes
-    ----------
-    time : float
-    condition : (g, lo, hi), where g(x, v) takes position and velocity before any jump, or None
-    jump : Function (x, v[, p]) -> position and velocity after the jump, or None
-    """
-
-    time: float
-    condition: Limited | None
-    jump: ca.Function | None
-
-    @property
-    def functions(self) -> list[tuple[str, ca.Function]]:
-        """What is stated there, by name."""
-        both = ("waypoint", (self.condition or (None,))[0]), ("jump", self.jump)
-        return [(name, function) for name, function in both if function is not None]
 
 
 def is_limited(place: Any) -> TypeGuard[Limited]:

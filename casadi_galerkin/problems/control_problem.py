@@ -23,7 +23,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import Values, counted, times_inside, whole_number
 from casadi_galerkin.calculus.numbers import components as checked_components
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds
-from casadi_galerkin.problems.breakpoint_events import Crossing, Pairs, Waypoint, is_limited, jumps, waypoints
+from casadi_galerkin.problems.breakpoint_events import Pairs, Waypoint, is_limited, jumps, waypoints
 from casadi_galerkin.problems.callables import Traceable, depends_on_time, left_out, of_zeros
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
 from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
@@ -384,10 +384,9 @@ class ControlProblem(Problem):
         return ca.Function("end_conditions", inputs, [ca.densify(stated)]), (*low, *lows), (*high, *highs)
 
     @property
-    def crossings(self) -> tuple[Crossing, ...]:
-        """Breakpoints at which the velocity is an unknown: those of jumps, and of waypoints that are functions."""
-        conditions, laws = {t: place for t, place in self.waypoints if is_limited(place)}, dict(self.jumps)
-        return tuple(Crossing(t, conditions.get(t), laws.get(t)) for t in sorted({*conditions, *laws}))
+    def conditions_on_the_way(self) -> dict[float, Limited]:
+        """Waypoints that are functions of positions and velocities, by their times."""
+        return {t: place for t, place in self.waypoints if is_limited(place)}
 
     @property
     def along(self) -> list[ca.Function]:

@@ -30,7 +30,7 @@ def _beside_a_constraint(problem: Any) -> Iterator[str]:
     """What has no place beside a holonomic constraint."""
     if problem.constraint is not None and problem.mechanical < problem.dimension:
         yield "a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)"
-    if problem.constraint is not None and problem.crossings:
+    if problem.constraint is not None and (problem.jumps or problem.conditions_on_the_way):
         yield "a problem with a constraint takes no jumps, and no functions as waypoints"
 
 
@@ -42,7 +42,8 @@ def _of_velocities(problem: Any) -> list[tuple[str, ca.Function, tuple[int, ...]
         ("terminal_cost", problem.terminal_cost, (2,)),
         ("initial_cost", problem.initial_cost, (2,)),
         ("end_conditions", problem.end_conditions[0], (1, 3)),
-        *((f"the {name} at t = {c.time:g}", f, (1,)) for c in problem.crossings for name, f in c.functions),
+        *((f"the waypoint at t = {t:g}", g, (1,)) for t, (g, *_) in problem.conditions_on_the_way.items()),
+        *((f"the jump at t = {t:g}", law, (1,)) for t, law in problem.jumps),
     ]
     return [(name, function, velocities) for name, function, velocities in stated if function is not None]
 

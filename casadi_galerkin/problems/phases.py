@@ -124,9 +124,9 @@ def _joined(
 
 
 def sections(problem: ControlProblem) -> list[ControlProblem]:
-    """The phases of a problem: it changes at crossings, and, where the duration is free, at all breakpoints."""
-    free, crossed = problem.duration_bounds is not None, [crossing.time for crossing in problem.crossings]
-    times = list(problem.breakpoints) if free else crossed
+    """The phases of a problem, which end at jumps, at conditions, and, where durations are free, at all breakpoints."""
+    free, events = problem.duration_bounds is not None, {*dict(problem.jumps), *problem.conditions_on_the_way}
+    times = [t for t in problem.breakpoints if free or t in events]
     if not times:
         return [problem]
     d, stated, inner = problem.dimension, problem.end_conditions[0], dict[str, Any]()
@@ -153,23 +153,23 @@ def joined_sections(problem: ControlProblem, phases: Sequence[ControlProblem]) -
     """What joins the phases of one problem: jumps or continuity, waypoints that are functions, and end conditions."""
     if len(phases) == 1:
         return Joins()
-    crossings = {crossing.time: crossing for crossing in problem.crossings}
-    at_joins = [crossings.get(phase.t_span[1]) for phase in phases[:-1]]
+    jumps, conditions = dict(problem.jumps), problem.conditions_on_the_way
+    times = [phase.t_span[1] for phase in phases[:-1]]
 
     def others(ends: list[PhaseEnds]) -> list[Join]:
         first, last, joins = ends[0], ends[-1], list[Join]()
-        for k, (crossing, (before, after)) in enumerate(zip(at_joins, pairwise(ends), strict=True)):
+        for k, (t, (before, after)) in enumerate(zip(times, pairwise(ends), strict=True)):
             p = [] if problem.parameters is None else [before.p]
-            if crossing is not None and crossing.condition is not None:
-                g, *sides = crossing.condition
+            if t in conditions:
+                g, *sides = conditions[t]
                 joins.append(Join("condition {}", k, g(before.x1, before.v1, *p), sides))
             if problem.parameter_bounds is not None:
                 joins.append(Join("the continuity of p[{}]", k, after.p - before.p))
         g, *sides = problem.conditions_at_ends
         p = [] if problem.parameters is None else [last.p]
-        return [*joins, Join("end condition {}", len(joins), g(first.x0, first.v0, last.x1, last.v1, *p), sides)]
+        return [*joins, Join("end condition {}", len(times), g(first.x0, first.v0, last.x1, last.v1, *p), sides)]
 
-    return _joined(phases, [crossing and crossing.jump for crossing in at_joins], others)
+    return _joined(phases, [jumps.get(t) for t in times], others)
 
 
 @dataclass(frozen=True, init=False, repr=False)

@@ -117,6 +117,14 @@ def test_conditions_and_costs_join_phases():
     assert sum(phase.cost for phase in path.phases) + (path.t[-1] - 3) ** 2 == pytest.approx(path.cost, rel=1e-10)
 
 
+@pytest.mark.parametrize("make", [bouncing, in_one])
+def test_a_phase_has_neither_errors_nor_derivatives_of_its_own(make):
+    path = cg.solve(make(), cg.Galerkin(3), 4)
+    for ask, what in ((lambda phase: phase.estimate_error(), "errors"), (cg.sensitivity, "derivatives")):
+        with pytest.raises(ValueError, match=f"a phase has no {what} of its own: ask the whole path"):
+            ask(path.phases[1])
+
+
 def test_phases_with_equal_statements_share_their_functions():
     base = moving(0.0, 1.0, 0.0, start_velocity=0.0)
     others = [moving(float(k), k + 1.0) for k in range(1, 4)]

@@ -156,9 +156,7 @@ def test_a_problem_with_jumps_may_be_replaced():
     )
     other = replace(problem, end=(2.0,))
     assert other.breakpoints == (0.3, 0.7)
-    assert [(c.time, c.condition is None, c.jump is None) for c in other.crossings] == [
-        (0.3, False, True),
-        (0.7, True, False),
-    ]
+    assert list(other.conditions_on_the_way) == [0.3]
+    assert [t for t, _ in other.jumps] == [0.7]
     assert other.waypoints[0][1][1:] == ((0.0,), (1.0,))
     assert float(other.jumps[0][1](0.0, 1.0)[1]) == pytest.approx(np.sin(1))
