@@ -330,7 +330,12 @@ def transcribe(
     if tolerance is None:
         return _graph(problem, method, intervals, mesh)
     if isinstance(problem, ControlProblem):
-        return AdaptiveControlTranscription(problem, tolerance, method, intervals, mesh, limits, of)
+        limits = limits or Limits()
+        first_control_discretization(
+            problem, tolerance, method, intervals, mesh, None, limits
+        )  # refuses what does not fit
+        given = {"method": method, "intervals": intervals, "mesh": mesh, "tol": tolerance, "of": of, "limits": limits}
+        return AdaptiveControlTranscription(problem, tolerance, partial(solve, **given))
     check_kind(problem, BoundaryProblem)
     assert isinstance(problem, BoundaryProblem)
     return AdaptiveTranscription(problem, tolerance, method, intervals, mesh, limits, of)

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from numpy.typing import ArrayLike
-
-from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import check_verbose, counted
-from casadi_galerkin.control.control_refinement import ControlRefinement, first_control_discretization
-from casadi_galerkin.control.control_transcription import check_solver
-from casadi_galerkin.functional.buffers import interrupts_raised
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits, check_tolerance
-from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solvers.solver import Solver, ipopt
 
 
@@ -25,7 +17,8 @@ class AdaptiveControlTranscription:
     Parameters
     ----------
     problem : ControlProblem
-    tol, of, method, intervals, mesh, limits : as for `solve`
+    tol : as for `solve`
+    solve : `solve` with its other arguments
 
     Attributes
     ----------
@@ -46,22 +39,10 @@ class AdaptiveControlTranscription:
     [6.0, 24.0]
     """
 
-    def __init__(
-        self,
-        problem: ControlProblem,
-        tol: float,
-        method: Galerkin | None,
-        intervals: int | None,
-        mesh: ArrayLike | None,
-        limits: Limits | None,
-        of: Quantity | None = None,
-    ) -> None:
-        self.problem, self.tol, self.limits, self.of = problem, check_tolerance(tol), limits or Limits(), of
-        self._coarse = method, intervals, mesh
-        first_control_discretization(problem, self.tol, *self._coarse, None, self.limits)  # refuses what does not fit
+    def __init__(self, problem: ControlProblem, tol: float, solve: Callable[..., ControlTrajectory]) -> None:
+        self.problem, self.tol, self._solve = problem, tol, solve
         self.first: ControlTrajectory | None = None
 
-    @interrupts_raised()
     def solve(
         self,
         start: Sequence[float | None] | None = None,
@@ -89,24 +70,18 @@ class AdaptiveControlTranscription:
         LimitReached, ConvergenceError, ValueError, TypeError
             as for `solve`
         """
-        check_solver(solver)
-        check_verbose(verbose)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         problem = self.problem.varied({**ends, "parameters": parameters}, t_span)
         begun = self.first if guess is None else guess
-        method, joints = first_control_discretization(problem, self.tol, *self._coarse, begun, self.limits)
-        refinement = ControlRefinement(problem, self.tol, method, self.limits, solver, verbose, self.of)
-        path = refinement.run(joints, begun, 1)
+        path = self._solve(problem, guess=begun, solver=solver, verbose=verbose)
         self.first = self.first or path
-        if verbose:
-            print(path)
         return path
 
     def __repr__(self) -> str:
         """Say what was built, and what mesh is kept."""
-        size = counted(self.problem.dimension, "component")
-        words = f"AdaptiveControlTranscription of a control problem of {size}, tol={self.tol:g}"
-        if self.first is None:
-            return f"{words}: nothing solved yet"
-        intervals = counted(len(self.first.t) - 1, "interval")
-        return f"{words}: first path of degree {self.first.method.degree} on {intervals}"
+        first = (
+            "nothing solved yet"
+            if self.first is None
+            else f"first path on {counted(len(self.first.t) - 1, 'interval')}"
+        )
+        return f"AdaptiveControlTranscription of a control problem, tol={self.tol:g}: {first}"

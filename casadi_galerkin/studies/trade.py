@@ -11,10 +11,9 @@ from __future__ import annotations
 import pickle
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -35,94 +34,63 @@ from casadi_galerkin.solution.quantity import Quantity, check_quantity, quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.studies.parallel import picklable_problem
-from casadi_galerkin.studies.reference import (
-    AnyProblem,
-    Reference,
-    ReferenceSolution,
-    check_reference,
-    finest,
-)
+from casadi_galerkin.studies.reference import AnyProblem, Reference, ReferenceSolution, check_reference, finest
 from casadi_galerkin.studies.trade_table import Row, Trade, name_of
 
 FIRST_CALLS, REPEATS, LONG = 2, 15, 0.03  # first and repeated solves of a way; no repeats after so many seconds
 
 
-@dataclass
-class _Cell:
-    """A way while it is measured: how to repeat it, its answer or failure, what its repeats took."""
-
-    row: Row
-    path: Trajectory | None = None
-    again: Callable[[], Trajectory] | None = None
-    calls: list[float] = field(default_factory=list)
-
-    def repeat(self) -> None:
-        """Solve again; noise only adds to the seconds, so the least count."""
-        if self.again is None or sum(self.calls) > LONG:
-            return
+def _timed(solve: Callable[[], Trajectory], count: int, longest: float) -> tuple[Trajectory, float]:
+    """The path of a solve, and the fewest seconds of some calls; noise only adds to them."""
+    calls: list[float] = []
+    while len(calls) < count and sum(calls) <= longest:
         began = time.perf_counter()
-        path = self.again()
-        self.calls.append(time.perf_counter() - began)
-        seconds = self.calls[-1] if self.row.adaptive else path.solve_seconds
-        self.row = replace(self.row, solve_seconds=float(np.fmin(self.row.solve_seconds, seconds)))
+        path = solve()
+        calls.append(time.perf_counter() - began)
+    return path, min(calls)
 
 
-def _cell(problem: AnyProblem, written: bytes, row: Row, guess: Guess | None, of: Quantity | None) -> _Cell:
-    """Solve in one way for the first time, more than once, and build what its repeats need.
+def _measured(
+    problem: AnyProblem, written: bytes, row: Row, guess: Guess | None, of: Quantity | None
+) -> tuple[Row, Trajectory | None]:
+    """Solve in one way for the first time, and again on what is built; `written` is the pickled problem.
 
-    The second time finds CasADi's plugins loaded.  `written` is the pickled problem.
+    A second first time finds CasADi's plugins loaded.
     """
-    seconds: list[float] = []
     try:
-        for _ in range(FIRST_CALLS):
-            (fresh,) = pickle.loads(written)  # a deep copy would share its Functions
-            began = time.perf_counter()
-            path = row.solve(fresh, guess)
-            seconds.append(time.perf_counter() - began)
-        again = _repeated(problem, row, guess)
+        fresh = iter([pickle.loads(written)[0] for _ in range(FIRST_CALLS)])  # a deep copy would share its Functions
+        path, first = _timed(lambda: row.solve(next(fresh), guess), FIRST_CALLS, np.inf)
+        again: Callable[[], Trajectory] = partial(row.solve, problem, guess)
+        if row.method is not None and row.solver is not None:  # a global solve, on a graph that is built
+            assert not isinstance(problem, InitialProblem)
+            graph = transcribe(problem, row.method, row.intervals if row.mesh is None else None, mesh=row.mesh)
+            again = partial(graph.solve, guess=guess, solver=row.solver)
+            again()
+        _, seconds = _timed(again, REPEATS, LONG)
         if of is not None:
             quantity(of, path)
     except (RuntimeError, ValueError) as failure:  # a ConvergenceError is a RuntimeError, and so is what CasADi raises
-        return _Cell(replace(row, failure=str(failure)))
+        return replace(row, failure=str(failure)), None
     if row.adaptive:
         row = replace(row, method=path.method, intervals=len(path.t) - 1)
-    row = replace(row, unknowns=_unknowns(problem, path), iterations=path.iterations, first_seconds=min(seconds))
-    return _Cell(row, path, again)
+    row = replace(row, unknowns=_unknowns(problem, path), iterations=path.iterations)
+    return replace(row, first_seconds=first, solve_seconds=seconds), path
 
 
-def _repeated(problem: AnyProblem, row: Row, guess: Guess | None) -> Callable[[], Trajectory]:
-    """A solve that can be repeated: where the solve is global, on a graph that is built, with its solver."""
-    if row.method is None or row.solver is None:
-        return partial(row.solve, problem, guess)
-    assert not isinstance(problem, InitialProblem)
-    intervals = row.intervals if row.mesh is None else None
-    graph = transcribe(problem, row.method, intervals, mesh=row.mesh)
-    again = partial(graph.solve, guess=guess, solver=row.solver)
-    again()
-    return again
-
-
-def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
-    """The way on the fixed mesh that a tolerance has found, mapped to the guessed durations where these are free."""
-    assert cell.path is not None
-    row, joints = cell.row, map_times(cell.path.t, section_times(cell.path.problem), section_times(problem))
-    return Row(row.method, row.intervals, row.solver, row.tol, row.of, tuple(joints.tolist()))
-
-
-def _cells(problem: AnyProblem, ways: list[Row], guess: Guess | None, of: Quantity | None) -> list[_Cell]:
-    """All ways, and then those on the meshes that tolerances have found, solved and repeated."""
-    cells, waiting, written = list[_Cell](), list(ways), picklable_problem(problem)
-    with progress("trade", (1 + REPEATS) * (len(ways) + len([way for way in ways if way.adaptive]))) as advance:
+def _all_measured(
+    problem: AnyProblem, ways: list[Row], guess: Guess | None, of: Quantity | None
+) -> list[tuple[Row, Trajectory | None]]:
+    """All ways, and then those on the meshes that tolerances have found, where durations are free at their guesses."""
+    measured, waiting, written = list[tuple[Row, Trajectory | None]](), list(ways), picklable_problem(problem)
+    with progress("trade", len(ways) + len([way for way in ways if way.adaptive])) as advance:
         while waiting:
-            cells.append(_cell(problem, written, waiting.pop(0), guess, of))
-            if cells[-1].row.adaptive and cells[-1].path is not None:
-                waiting.append(_on_its_mesh(problem, cells[-1]))
+            row, path = _measured(problem, written, waiting.pop(0), guess, of)
+            measured.append((row, path))
+            if row.adaptive and path is not None:
+                joints = map_times(path.t, section_times(path.problem), section_times(problem))
+                waiting.append(Row(row.method, row.intervals, row.solver, row.tol, row.of, tuple(joints.tolist())))
             advance(1)
-        for _ in range(REPEATS):  # in turns, so that a busy spell of the machine does not fall on one way alone
-            for cell in cells:
-                cell.repeat()
-                advance(1)
-    return cells
+    return measured
 
 
 def _unknowns(problem: AnyProblem, path: Trajectory) -> int:
@@ -132,14 +100,6 @@ def _unknowns(problem: AnyProblem, path: Trajectory) -> int:
     periodic = path.x.shape[0] if getattr(problem, "periodic", False) else 0
     controls = path.control.values.size if hasattr(path, "control") else 0
     return path.polynomial.values.size - fixed - periodic + controls
-
-
-def _listed(name: str, given: Iterable[Any]) -> list[Any]:
-    """A list of what must be given as several values."""
-    try:
-        return list(given)
-    except TypeError as error:
-        raise TypeError(f"{name} must be several, in a list, got {given!r}") from error
 
 
 def _ways(
@@ -249,17 +209,15 @@ def trade(
     check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
     if of is not None:
         check_quantity(of)
-    grid = list(product(_listed("methods", methods), _listed("intervals", intervals)))
-    given = _listed("tolerances", tolerances), _listed("solvers", solvers)
-    ways = _ways(problem, grid, *given, shooting, of, guess)
+    ways = _ways(problem, list(product(methods, intervals)), list(tolerances), list(solvers), shooting, of, guess)
     if reference is not None:
         check_reference(problem, reference, of)
-    cells = _cells(problem, ways, guess, of)
-    paths = [cell.path for cell in cells if cell.path is not None]
+    measured = _all_measured(problem, ways, guess, of)
+    paths = [path for _, path in measured if path is not None]
     if not paths:
-        raise ConvergenceError(f"no way led to a path; the first failure: {cells[0].row.failure}")
+        raise ConvergenceError(f"no way led to a path; the first failure: {measured[0][0].failure}")
     truth, described, own = _truth(problem, reference, of, paths)
-    rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
+    rows = [row if path is None else replace(row, **truth.errors(path)) for row, path in measured]
     return Trade(tuple(rows), described, own, None if of is None else name_of(of))
 
 

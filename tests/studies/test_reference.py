@@ -61,7 +61,7 @@ def free(t, x, v):
 )
 def test_a_reference_that_does_not_fit_is_refused_before_any_cell(reference, error, message, monkeypatch):
     module = import_module("casadi_galerkin.studies.trade")
-    monkeypatch.setattr(module, "_cell", lambda *given: pytest.fail("solved before the reference was checked"))
+    monkeypatch.setattr(module, "_measured", lambda *given: pytest.fail("solved before the reference was checked"))
     problem = cg.BoundaryProblem(free, (0.0, 1.0), [0.0, 0.0], [1.0, 1.0])
     with pytest.raises(error, match=message):
         cg.trade(problem, [cg.Galerkin(2)], [4], reference=reference)
@@ -122,7 +122,7 @@ def test_a_quantity_that_vanishes_has_an_absolute_error(oscillator):
 @pytest.mark.parametrize(("value", "error"), [(None, TypeError), (np.nan, ValueError), ("far", TypeError)])
 def test_a_quantity_that_is_no_number_is_refused_before_any_cell(oscillator, value, error, monkeypatch):
     module = import_module("casadi_galerkin.studies.trade")
-    monkeypatch.setattr(module, "_cell", lambda *given: pytest.fail("solved before the quantity was tried"))
+    monkeypatch.setattr(module, "_measured", lambda *given: pytest.fail("solved before the quantity was tried"))
     with pytest.raises(error, match=r"of (must return finite|returns must be real) numbers, got"):
         cg.trade(oscillator, [cg.Galerkin(2)], [4], lambda t: [np.sin(t)], of=lambda path: value)
 
