@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import lru_cache
 from typing import Any, Literal, TypeAlias, TypeGuard
 
@@ -69,22 +69,13 @@ def trace(
         raise TypeError(
             f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"
         )
-    if TRUTH_VALUES.intersection(kinds):
-        _refuse_truth_values(name, traced, kinds)
-    return traced
-
-
-def _refuse_truth_values(name: str, traced: ca.Function, kinds: Sequence[int]) -> None:
-    """Refuse values that are comparisons, whose derivatives are zero everywhere."""
-    written: dict[int, int] = {}  # place in the working memory -> the operation that wrote it last
-    for k, kind in enumerate(kinds):
-        if kind != ca.OP_OUTPUT:
-            written |= dict.fromkeys(traced.instruction_output(k), kind)
-        elif written[traced.instruction_input(k)[0]] in TRUTH_VALUES:
+    for value in ca.vertsplit(traced(*traced.sx_in())):
+        if any(value.is_op(comparison) for comparison in TRUTH_VALUES.intersection(kinds)):
             raise TypeError(
                 f"{name} must return numbers, got a comparison, which has no derivative: write x - 1 for x == 1, and "
                 "x with the bounds of its values for x <= 1"
             )
+    return traced
 
 
 def _is_traced(function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> TypeGuard[ca.Function]:

@@ -51,10 +51,15 @@ def _controls(name: str, value: Any, _: Made) -> int:
     return whole_number(name, value, least=0)
 
 
+def _stated(name: str, value: Any, made: Made, none: int, rows: int | str) -> ca.Function:
+    """A callable of (t, x, v, u), or so many zeros where it is left out."""
+    names = "t x v u"
+    return of_zeros(name, lengths(names, made), none) if left_out(value) else traced(name, value, names, rows, made)
+
+
 def _rates(name: str, value: Any, made: Made) -> ca.Function:
     """Rates of the last components, as many as there are values."""
-    sizes, d = lengths("t x v u", made), dimension(made)
-    rates = of_zeros(name, sizes, 0) if left_out(value) else traced(name, value, "t x v u", "any", made)
+    rates, d = _stated(name, value, made, 0, "any"), dimension(made)
     if rates.numel_out(0) > d:
         raise ValueError(
             f"rates must be those of at most all {counted(d, 'component')}, got {rates.numel_out(0)} values"
@@ -83,13 +88,16 @@ def _lagrangian(name: str, value: Any, made: Made) -> ca.Function:
 
 
 def _force(name: str, value: Any, made: Made) -> ca.Function:
-    sizes, count = lengths("t x v u", made), _mechanical(name, value, made)
-    return of_zeros(name, sizes, count) if left_out(value) else traced(name, value, "t x v u", count, made)
+    count = _mechanical(name, value, made)
+    return _stated(name, value, made, count, count)
 
 
 def _running_cost(name: str, value: Any, made: Made) -> ca.Function:
-    sizes = lengths("t x v u", made)
-    return of_zeros(name, sizes, 1) if left_out(value) else traced(name, value, "t x v u", "scalar", made)
+    return _stated(name, value, made, 1, "scalar")
+
+
+def _one(_: Made) -> int:
+    return 1
 
 
 def _breakpoints(name: str, value: Any, made: Made) -> tuple[float, ...]:
@@ -134,7 +142,7 @@ STATEMENTS = {
     "control_rate_bounds": within("controls"),
     "velocity_bounds": within("x"),
     "start_bounds": within("x"),
-    "initial_time_bounds": _sides(lambda _: 1),
+    "initial_time_bounds": _sides(_one),
     "initial_cost": function("t x v", "scalar"),
     "path_constraint": limited("t x v u"),
     "duration_bounds": _sides(lambda made: len(made["breakpoints"]) + 1, positive=True),

@@ -152,26 +152,21 @@ def _given_outside(problem: Any) -> Iterator[str]:
         yield f"start_bounds[{i}] = ({low[i]}, {high[i]}) lie outside the position_bounds of x[{i}]"
 
 
-def _path_constraint_at_ends(problem: Any) -> Iterator[str]:
-    """A given state at an end violates a path constraint without controls."""
+def _functions_of_given_ends(problem: Any) -> Iterator[str]:
+    """A given state at an end violates a path constraint without controls, or given ends an end condition."""
     for k, name in enumerate(ENDS):
         when = np.nan if k and problem.duration_bounds is not None else problem.t_span[k]
         given = when, getattr(problem, name), getattr(problem, f"{name}_velocity"), (np.nan,) * problem.controls
-        for i, value, words in _outside(problem, problem.path_constraint, given):
-            yield f"path constraint {i} is {value} at the {name} whatever the controls, {words}"
+        where = f"at the {name} whatever the controls"
+        yield from _outside(problem, problem.path_constraint, given, "path constraint", where)
+    yield from _outside(problem, problem.end_conditions, _ends(problem), "end condition", "with the ends given")
 
 
 def _ends(problem: Any) -> tuple[Sequence[Any], ...]:
     return problem.start, problem.start_velocity, problem.end, problem.end_velocity
 
 
-def _conditions_on_given_ends(problem: Any) -> Iterator[str]:
-    """Given ends violate an end condition."""
-    for i, value, words in _outside(problem, problem.end_conditions, _ends(problem)):
-        yield f"end condition {i} is {value} with the ends given, {words}"
-
-
-def _outside(problem: Any, limited: Limited, given: Sequence[Any]) -> Iterator[tuple[int, float, str]]:
+def _outside(problem: Any, limited: Limited, given: Sequence[Any], name: str, where: str) -> Iterator[str]:
     """Values of a function outside their bounds where they depend on nothing free, which is NaN or None."""
     g, low, high = limited
     if not low:  # its sparsity is not looked up in every repeated solve
@@ -186,7 +181,7 @@ def _outside(problem: Any, limited: Limited, given: Sequence[Any]) -> Iterator[t
     accepted = FEASIBLE * or_one(np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=0))
     for i in np.flatnonzero(~free_rows & np.isfinite(values)).tolist():  # a ratio may be 0/0 at an end
         if not low[i] - accepted[i] <= values[i] <= high[i] + accepted[i]:
-            yield i, values[i], f"outside its bounds [{low[i]}, {high[i]}]"
+            yield f"{name} {i} is {values[i]} {where}, outside its bounds [{low[i]}, {high[i]}]"
 
 
 def _conditions_on_free_ends(problem: Any) -> Iterator[str]:
@@ -212,6 +207,5 @@ RULES_OF_VALUES = (
     _given_outside,
     constraint_at_ends,
     leaving_velocity,
-    _path_constraint_at_ends,
-    _conditions_on_given_ends,
+    _functions_of_given_ends,
 )

@@ -63,24 +63,13 @@ def whole_vector(name: str, value: Any, made: Made) -> tuple[float, ...]:
     return numbers(name, value, dimension(made) if made else None)
 
 
-def parameters(name: str, value: Any, _: Made) -> tuple[float, ...] | None:
-    """Numbers, as many as there are."""
-    return None if value is None else numbers(name, value)
+def plain(checked: Callable[[str, Any], Any]) -> Reader:
+    """Read by a check of the name and the value alone."""
+    return lambda name, value, _: checked(name, value)
 
 
-def number(name: str, value: Any, _: Made) -> float:
-    """A number."""
-    return finite(name, value)
-
-
-def switch(name: str, value: Any, _: Made) -> bool:
-    """True or False."""
-    return flag(name, value)
-
-
-def span(_: str, value: Any, __: Made) -> tuple[float, float]:
-    """(t_0, t_N)."""
-    return time_span(value)
+parameters, number, switch = optional(plain(numbers)), plain(finite), plain(flag)
+span = plain(lambda _, value: time_span(value))
 
 
 def times(name: str, value: Any, made: Made) -> tuple[float, ...]:
