@@ -227,7 +227,7 @@ def root_mean_square(path: Path) -> float:
     """Root of the mean of x·x over time, exact for the polynomial."""
     polynomial = path.polynomial
     rule, steps = gauss(polynomial.degree + 1), np.diff(polynomial.mesh)
-    squares = np.sum(polynomial.values_at_parts(np.array(rule.points)) ** 2, axis=0)
+    squares = np.sum(polynomial.at_parts(np.array(rule.points))[0] ** 2, axis=0)
     return float(np.sqrt(steps @ squares @ rule.weights / np.sum(steps)))
 
 

@@ -12,7 +12,7 @@ from numpy.polynomial import legendre
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_basis, lagrange_values, lobatto_points
-from casadi_galerkin.calculus.numbers import real_array, whole_number
+from casadi_galerkin.calculus.numbers import counted, real_array, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 
@@ -108,24 +108,16 @@ class Galerkin:
         return f"Galerkin({self})"
 
     def __str__(self) -> str:
-        """Degree and rule, with the range of control points other than Lobatto's and of rules other than Gauss's."""
+        """Degree, rule, and whether control points are others than Lobatto's; number and order tell the rules apart."""
         rule, usual = self.quadrature, self.control_points == tuple(lobatto_points(self.degree).tolist())
-        control = "" if usual else f"control {_points(self.control_points, True)}, "
-        points = _points(rule.points, rule != gauss(len(rule)))
-        return f"degree {self.degree}, {control}{len(rule)} quadrature {points} of order {rule.order}"
+        own = "" if usual else "control points of its own, "
+        return f"degree {self.degree}, {own}{counted(len(rule), 'quadrature point')} of order {rule.order}"
 
 
 def check_method(method: object, optional: bool = False) -> None:
     """Refuse anything but a Galerkin method, or None where it is optional."""
     if not (isinstance(method, Galerkin) or (optional and method is None)):
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
-
-
-def _points(points: tuple[float, ...], placed: bool) -> str:
-    """Points in words, with the first and the last one if `placed`."""
-    if len(points) == 1:
-        return f"point at {points[0]:.4g}" if placed else "point"
-    return f"points from {points[0]:.4g} to {points[-1]:.4g}" if placed else "points"
 
 
 @lru_cache(64)

@@ -88,7 +88,7 @@ def largest_change(path: PiecewisePolynomial, nodes: np.ndarray, values: np.ndar
     The change has `values` (d, N m' + 1) at `nodes`, and is sampled between them as well.
     """
     change = PiecewisePolynomial(path.mesh, nodes, values)
-    sampled = change.values_at_parts(sampling_parts(change.degree))
+    sampled = change.at_parts(sampling_parts(change.degree))[0]
     return float(np.max(np.abs(sampled) / path.sizes[:, None, None]))
 
 

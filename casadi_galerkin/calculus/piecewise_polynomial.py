@@ -110,10 +110,6 @@ class PiecewisePolynomial:
         kept = None if arrivals is None else arrivals[:, first:last]
         return PiecewisePolynomial(self.mesh[first : last + 1], self.nodes, values, kept)
 
-    def values_at_parts(self, parts: np.ndarray) -> np.ndarray:
-        """Values (d, N, K) at the same parts (K,) of every interval, by its own polynomial."""
-        return self.at_parts(parts)[0]
-
     def at_parts(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values and derivatives (d, N, K) at the same fractions (K,) of every interval, by its own polynomial."""
         values, slopes = _basis(tuple(self.nodes.tolist()), tuple(parts.tolist()))
@@ -130,7 +126,7 @@ class PiecewisePolynomial:
         """Node values (d, N m' + 1) on the same mesh with other nodes; without times, whose rounding would count."""
         if np.array_equal(nodes, self.nodes):
             return self.values
-        inner = self.values_at_parts(nodes[:-1])
+        inner = self.at_parts(nodes[:-1])[0]
         return np.concatenate((inner.reshape(len(self.values), -1), self.values[:, -1:]), axis=1)
 
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:

@@ -138,7 +138,7 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
     if problem.constraint is None:
         return None
     parts = sampling_parts(path.degree)
-    x, times = path.values_at_parts(parts).reshape(len(path.values), -1), times_at(path.mesh, parts)
+    x, times = path.at_parts(parts)[0].reshape(len(path.values), -1), times_at(path.mesh, parts)
     moves = np.ptp(x, axis=1, keepdims=True) + np.sqrt(EPS) * component_sizes(x)[:, None]
     measured = _missed(problem.numeric.constraint).map(len(times))
     missed, largest = (np.array(a) for a in measured(times[None, :], x, np.broadcast_to(moves, x.shape)))

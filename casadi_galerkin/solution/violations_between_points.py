@@ -135,7 +135,7 @@ class BetweenPoints:
     def _relative_excess(self) -> np.ndarray:
         """Excess of path constraints and positions as parts of the size of the path by which it is off, (k + d, N)."""
         excess = self.path_excess(self._samples)[1]
-        outside = bound_excess(self.path.polynomial.values_at_parts(self._samples), *self.problem.position_bounds)
+        outside = bound_excess(self.path.polynomial.at_parts(self._samples)[0], *self.problem.position_bounds)
         of_positions = np.max(outside, axis=2) / self.path.sizes[:, None]
         return np.minimum(np.vstack((np.max(excess, axis=2) / self.constraint_changes, of_positions)), 1.0)
 

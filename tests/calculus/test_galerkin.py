@@ -54,10 +54,9 @@ def test_order_is_the_smaller_of_twice_the_degree_and_the_rules(method, order):
     [
         (cg.Galerkin(4), "degree 4, 4 quadrature points of order 8"),
         (cg.Galerkin(1), "degree 1, 1 quadrature point of order 2"),
-        (cg.Galerkin(2, [0.4]), "degree 2, control point at 0.4, 2 quadrature points of order 4"),
-        (cg.Galerkin(3, [0.2, 0.7]), "degree 3, control points from 0.2 to 0.7, 3 quadrature points of order 6"),
-        (cg.Galerkin(1, quadrature=cg.radau(1)), "degree 1, 1 quadrature point at 1 of order 1"),
-        (cg.Galerkin(2, quadrature=cg.lobatto(3)), "degree 2, 3 quadrature points from 0 to 1 of order 4"),
+        (cg.Galerkin(2, [0.4]), "degree 2, control points of its own, 2 quadrature points of order 4"),
+        (cg.Galerkin(1, quadrature=cg.radau(1)), "degree 1, 1 quadrature point of order 1"),
+        (cg.Galerkin(2, quadrature=cg.lobatto(3)), "degree 2, 3 quadrature points of order 4"),
     ],
 )
 def test_a_method_says_what_is_unusual_about_it(method, words):
