@@ -39,9 +39,9 @@ def critical_point(
         multipliers = first[own:] if minimize else zero
         found = run(first[:own], parameters, zero - np.inf, zero + np.inf, zero, zero, zero, multipliers)
         stats = run.stats
-    iterations, status = int(stats["iter_count"]), str(stats["return_status"]).replace("_", " ")
+    status = "" if stats["success"] else str(stats["return_status"]).replace("_", " ")
     x = sizes * np.append(found[0], found[4])[: len(guess)]  # with the multipliers of the conditions
-    return polished(stationarity, x, data, verbose, name, iterations, status, bool(stats["success"]))
+    return polished(stationarity, x, data, verbose, name, int(stats["iter_count"]), status)
 
 
 def minimum(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any) -> Solution:

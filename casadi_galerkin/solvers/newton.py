@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -28,14 +27,10 @@ from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearizatio
 
 NEWTON = "Newton"  # its report
 QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it needs no line search
-CONTRACTION = (
-    0.1  # a full step is taken if the next one is shorter by this factor; with 0.25 long ones led to other paths
-)
+CONTRACTION = 0.1  # a full step is taken if the next one is as much shorter; with 0.25 long ones led to other paths
 SMALLEST_DAMPING = EPS**0.5
 POLISHING = 20  # most iterations from where another search stopped; with more it wanders, 4 times as long
-SEARCH_ITERATIONS = (
-    50  # most of them after Newton's monotone steps; free steps found 180 for 165 with 200, in twice the time
-)
+SEARCH_ITERATIONS = 50  # most of other searches; with 200, free steps led to 180 paths for 165, in twice the time
 ROUNDED = 4 * EPS  # size of a component, over that at which it would matter, up to which it is zero
 DRIFT = 10.0  # bound of the second variation's change, over what the last two steps show; along families at most 0.7
 
@@ -104,35 +99,27 @@ def damped_newton(
 
 
 def polished(
-    stationarity: Stationarity,
-    found: np.ndarray,
-    data: Data,
-    verbose: int,
-    name: str,
-    iterations: int,
-    status: str = "",
-    trusted: bool = True,
+    stationarity: Stationarity, found: np.ndarray, data: Data, verbose: int, name: str, iterations: int, status: str
 ) -> Solution:
-    """The verified solution near where another search has stopped, with this status; `name` is that of the search.
-
-    A singular Hessian is believed where the search is `trusted` to have found a solution.
-    """
+    """The verified solution near where the search of a `name` has stopped; a status says that it found none."""
     words = f"{name} stopped with '{status}'" if status else name
     if not np.isfinite(found).all():
         raise SolveFailure(f"{words} at a point that is not finite", np.nan_to_num(found), iterations)
     try:
         solution = damped_newton(stationarity, found, data, verbose, POLISHING)
     except SolveFailure as failure:
-        singular = failure.singular and trusted
-        raise SolveFailure(f"{words}, then Newton's method: {failure}", found, iterations, singular) from None
+        words += f", then Newton's method: {failure}"
+        raise SolveFailure(words, found, iterations, failure.singular and not status) from None
     return replace(solution, iterations=iterations + solution.iterations, report=f"{name}, then Newton")
 
 
-Search: TypeAlias = Callable[[Linearization, Iterate, float, Data, int], tuple[Iterate, float, float]]
-
-
 def _iterate(
-    linear: Linearization, guess: np.ndarray, data: Data, verbose: int, max_iter: int, search: Search
+    linear: Linearization,
+    guess: np.ndarray,
+    data: Data,
+    verbose: int,
+    max_iter: int,
+    search: Callable[..., tuple[Iterate, float, float]],
 ) -> Solution:
     """Newton's method with the steps of a search."""
     at, damping, forecast = linear.newton_step(guess, data), 1.0, 1.0
@@ -140,17 +127,22 @@ def _iterate(
         raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
     last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
     for iteration in range(1, max_iter + 1):
-        _check_going_on(linear, at, iteration)
+        if verbose > 1:
+            print(f"  {iteration:4d}   step {at.norm:9.2e}   damping {damping:7.1e}")
+        if not math.isfinite(at.norm):
+            finite = bool(np.isfinite(linear.matrix).all())
+            words = f"the Hessian of the action is {'singular' if finite else 'not finite'}"
+            raise SolveFailure(words, at.unknowns, iteration, singular=finite)
+        if seconds_left() < 0:
+            raise SolveFailure("the time was up", at.unknowns, iteration)
         end = _final_iterate(linear, at, last, data)
         if end is not None:
             drift = DRIFT * (at.norm + min(1.0, at.norm / max(last, TINY)) ** 2)
             solution = verified(linear, end, data, iteration, NEWTON, drift)
             if solution is not None:
-                _report(iteration, at.norm, 1.0, verbose)
                 return solution
         last = at.norm
         at, damping, forecast = search(linear, at, forecast, data, iteration)
-        _report(iteration, last, damping, verbose)
     reason = f"no convergence in {max_iter} iterations, last relative step {at.norm:.1e}"
     raise _failed(linear, at, data, max_iter, reason)
 
@@ -185,21 +177,6 @@ def _free_step(
     longest = (at.length or at.step_length) if iteration == 1 else longest
     damping = min(1.0, longest / max(at.step_length, TINY))
     return linear.newton_step(at.unknowns + damping * at.step, data), damping, longest
-
-
-def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
-    """Stop where there is no step, or no time."""
-    if not math.isfinite(at.norm):
-        finite = bool(np.isfinite(linear.matrix).all())
-        what = "singular" if finite else "not finite"
-        raise SolveFailure(f"the Hessian of the action is {what}", at.unknowns, iteration, singular=finite)
-    if seconds_left() < 0:
-        raise SolveFailure("the time was up", at.unknowns, iteration)
-
-
-def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:
-    if verbose > 1:
-        print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
 
 
 def _final_iterate(linear: Linearization, at: Iterate, last: float, data: Data) -> np.ndarray | None:

@@ -89,7 +89,7 @@ def casadi_root(
             raise SolveFailure("CasADi's rootfinder met a casadi Function that fails", guess, 0) from error
         iterations = int(solver.stats()["iter_count"])
     x = np.array(root).ravel()
-    return polished(stationarity, x, data, verbose, REPORT, iterations)
+    return polished(stationarity, x, data, verbose, REPORT, iterations, "")
 
 
 def check_option(name: str, value: object) -> None:
