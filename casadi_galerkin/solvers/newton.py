@@ -160,10 +160,8 @@ def _monotone_step(
         whole = linear.newton_step(at.unknowns + at.step, data)
         if whole.norm <= CONTRACTION * at.norm or (at.norm < QUADRATIC and math.isfinite(whole.norm)):
             return whole, 1.0, 1.0
-        linear.return_to(at)
     x, simplified, damping = _line_search(linear, at, damping, data, iteration)
     trial = whole if whole is not None and damping == 1.0 else linear.newton_step(x, data)
-    linear.return_to(trial)
     return trial, damping, min(1.0, damping * _forecast(at.step, simplified, trial))
 
 

@@ -45,7 +45,6 @@ class Iterate(NamedTuple):
     norm : largest entry of the step relative to the sizes; NaN where the step is not finite
     length, step_length : lengths of path and step, see `LinearSolver.newton_step`
     matrix : nonzeros of ∇²S at the point
-    direction : solution of the linear equations with ∇²S for a generic right-hand side
     """
 
     unknowns: np.ndarray
@@ -55,7 +54,6 @@ class Iterate(NamedTuple):
     length: float
     step_length: float
     matrix: np.ndarray
-    direction: np.ndarray
 
 
 class Stationarity:
@@ -171,7 +169,7 @@ class Linearization:
     ----------
     methods : names of the linear solvers to try, in order
     matrix : nonzeros of ∇²S where it was last evaluated, by `newton_step` or `relinearize`
-    direction : of smallest curvature, of the last `newton_step` or `return_to`
+    direction : near that of smallest curvature, of the last `newton_step`: a solution for a generic right-hand side
     """
 
     def __init__(self, stationarity: Stationarity) -> None:
@@ -224,11 +222,7 @@ class Linearization:
         outputs, lengths = self._solved("newton_step", self.stationarity.newton_step, unknowns, *data)
         step, self.direction, sizes, self.matrix = outputs
         norm, length, step_length, _ = lengths
-        return Iterate(unknowns, step, sizes, norm, length, step_length, self.matrix, self.direction)
-
-    def return_to(self, at: Iterate) -> None:
-        """Restore ∇²S and the direction of smallest curvature of an earlier iterate."""
-        self.matrix, self.direction = at.matrix, at.direction
+        return Iterate(unknowns, step, sizes, norm, length, step_length, self.matrix)
 
     def simplified_step(
         self, unknowns: np.ndarray, data: Data, at: Iterate, damping: float
@@ -238,7 +232,7 @@ class Linearization:
         Parameters
         ----------
         unknowns : trial point
-        at : the last iterate, whose ∇²S is the present one
+        at : the last iterate, whose ∇²S is taken
         damping : factor of the Newton step that led to the trial point
 
         Returns
@@ -246,7 +240,7 @@ class Linearization:
         the step, its length and its nonlinearity (`LinearSolver.simplified_step`); NaN where the gradient is not finite
         or the Hessian is singular to the last digit
         """
-        inputs = [unknowns, *data, self.matrix, at.step, at.sizes, np.array([damping])]
+        inputs = [unknowns, *data, at.matrix, at.step, at.sizes, np.array([damping])]
         (step,), (length, nonlinearity, _) = self._solved("simplified", self.stationarity.simplified_step, *inputs)
         return step, length, nonlinearity
 
