@@ -100,6 +100,10 @@ def _one(_: Made) -> int:
     return 1
 
 
+def _phases(made: Made) -> int:
+    return len(made["breakpoints"]) + 1
+
+
 def _breakpoints(name: str, value: Any, made: Made) -> tuple[float, ...]:
     """Those that are named, and the times of waypoints and jumps."""
     named = {*times_inside(name, value, made["t_span"]), *dict(made["waypoints"]), *dict(made["jumps"])}
@@ -145,7 +149,7 @@ STATEMENTS = {
     "initial_time_bounds": _sides(_one),
     "initial_cost": function("t x v", "scalar"),
     "path_constraint": limited("t x v u"),
-    "duration_bounds": _sides(lambda made: len(made["breakpoints"]) + 1, positive=True),
+    "duration_bounds": _sides(_phases, positive=True),
     "parameter_bounds": _sides(lambda made: len(made["parameters"] or ())),
     "end_conditions": limited("x0 v0 x1 v1"),
     "hold": switch,
@@ -189,8 +193,9 @@ class ControlProblem(Problem):
         its values to the next, over the time between them.  Its values are those at the quadrature points, or with
         `hold` one for each interval, at its middle.  A control may still jump where phases part
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points;
-        what it asks of x and v alone also holds at the end of the path, unless `end_conditions` speak of that.  Where
-        positions keep to a curve, state that as a `constraint`: the velocity at a free end keeps to it then, too
+        what it asks of x and v alone also holds at the end, and at a start that has a cost, unless `end_conditions`
+        speak of that.  Where positions keep to a curve, state that as a `constraint`: the velocity at a free end keeps
+        to it then, too
     duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
     constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; for
         problems without rates, jumps and waypoints that are functions
@@ -357,8 +362,8 @@ class ControlProblem(Problem):
         return self.force.numel_out(0)
 
     @cached_property
-    def limits_of_end(self) -> list[int]:
-        """Indices of the path constraints that limit what is free of the end.
+    def limits_of_ends(self) -> list[list[int]]:
+        """Indices of the path constraints that limit what is free of the start, where that has a cost, and of the end.
 
         Path constraints hold at the quadrature points, inside of the intervals.  The velocity at a free end is an
         unknown of its own: where it is rewarded, it would exceed its limit on any mesh.  So what no control changes at
@@ -367,29 +372,36 @@ class ControlProblem(Problem):
         what end conditions speak of: the same twice has no multipliers, and it may be where g has no derivative.
         """
         g, low, high = self.path_constraint
-        numbers, equal = np.arange(self.dimension), np.equal(low, high)
-        stated_x, stated_v = (np.isin(numbers, list(entries_of(self.end_conditions[0], k))) for k in (2, 3))
+        numbers, equal, rows = np.arange(self.dimension), np.equal(low, high), list[list[int]]()
         excluded = equal & (np.count_nonzero(equal) >= self.controls)
-        excluded |= rows_that_depend(g, TIME, [True]) | rows_that_depend(
-            g, CONTROLS, np.ones(self.controls, dtype=bool)
-        )
-        excluded |= rows_that_depend(g, POSITIONS, stated_x)
-        excluded |= rows_that_depend(g, VELOCITIES, stated_v | (numbers >= self.mechanical))
-        free_x, free_v = (np.array([a is None for a in values]) for values in (self.end, self.end_velocity))
-        limited = rows_that_depend(g, POSITIONS, free_x) | rows_that_depend(g, VELOCITIES, free_v)
-        return np.flatnonzero(limited & ~excluded).tolist()
+        excluded |= rows_that_depend(g, TIME, [True])
+        excluded |= rows_that_depend(g, CONTROLS, np.ones(self.controls, dtype=bool))
+        ends = (self.start, self.start_velocity), (self.end, self.end_velocity)
+        for k, (x, v) in enumerate(ends):
+            stated_x, stated_v = (
+                np.isin(numbers, list(entries_of(self.end_conditions[0], i))) for i in (2 * k, 2 * k + 1)
+            )
+            spoken = rows_that_depend(g, POSITIONS, stated_x)
+            spoken |= rows_that_depend(g, VELOCITIES, stated_v | (numbers >= self.mechanical))
+            free_x, free_v = ([a is None for a in values] for values in (x, v))
+            limited = rows_that_depend(g, POSITIONS, free_x) | rows_that_depend(g, VELOCITIES, free_v)
+            costs = k == 1 or self.initial_cost is not None
+            rows.append(np.flatnonzero(limited & ~excluded & ~spoken).tolist() if costs else [])
+        return rows
 
     @property
     def conditions_at_ends(self) -> Limited:
-        """The end conditions, and behind them the path constraints that limit what is free of the end."""
-        (conditions, low, high), rows = self.end_conditions, self.limits_of_end
-        if not rows:
+        """The end conditions, and behind them the path constraints that limit what is free of the ends."""
+        (conditions, low, high), (first, last) = self.end_conditions, self.limits_of_ends
+        if not first and not last:
             return self.end_conditions
         inputs, (g, *sides) = conditions.sx_in(), self.path_constraint
-        _, _, x, v, *p = inputs
-        stated = ca.vertcat(conditions(*inputs), g(0.0, x, v, ca.SX.zeros(self.controls), *p)[rows])
-        lows, highs = ([side[i] for i in rows] for side in sides)
-        return ca.Function("end_conditions", inputs, [ca.densify(stated)]), (*low, *lows), (*high, *highs)
+        x0, v0, x1, v1, *p = inputs
+        still = ca.SX.zeros(self.controls)
+        added = [g(0.0, x, v, still, *p)[rows] for x, v, rows in ((x0, v0, first), (x1, v1, last)) if rows]
+        lows, highs = ([side[i] for i in (*first, *last)] for side in sides)
+        stated = ca.densify(ca.vertcat(conditions(*inputs), *added))
+        return ca.Function("end_conditions", inputs, [stated]), (*low, *lows), (*high, *highs)
 
     @property
     def conditions_on_the_way(self) -> dict[float, Limited]:

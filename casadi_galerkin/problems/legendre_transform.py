@@ -9,9 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes, or_one
 
-SAMPLED_FRACTIONS = 0.1, 0.4, 0.7  # fractions of a bent line between the ends, at which the mass matrix is evaluated
 DEGENERATE_MASS = 1e-13  # singular value of ∂²L/∂v², over the largest, below which a direction of v has no momentum
 VELOCITY_ITERATIONS = 100
 
@@ -90,7 +90,7 @@ def singular_mass(problem: Any) -> Iterator[str]:
     start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))
     rise, size, given = end - start, component_sizes(np.array([start, end]).T), [problem.parameters or ()]
     bend, transform = size * np.cos(1.0 + np.arange(len(start))), legendre_transform(problem.lagrangian)
-    for fraction in SAMPLED_FRACTIONS:
+    for fraction in gauss(3).points:  # generic enough on a line that is bent
         t, x = first + fraction * (last - first), start + fraction * (rise + bend)
         v = (rise + (1 - fraction) * bend) / (last - first)
         try:

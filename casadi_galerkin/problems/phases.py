@@ -134,7 +134,7 @@ def sections(problem: ControlProblem) -> list[ControlProblem]:
     inner |= dict.fromkeys((*at_start, *at_end), (None,) * d)
     inner |= dict.fromkeys(("terminal_cost", "initial_cost", "initial_time_bounds"))
     nothing = of_zeros("end_conditions", {stated.name_in(i): stated.size1_in(i) for i in range(stated.n_in())}, 0)
-    inner |= {"start_bounds": bounds("start_bounds", None, d), "jumps": (), "limits_of_end": []}
+    inner |= {"start_bounds": bounds("start_bounds", None, d), "jumps": (), "limits_of_ends": [[], []]}
     inner["end_conditions"] = nothing, (), ()
     places = [place for place in problem.waypoints if not is_limited(place[1])]
     phases = list[ControlProblem]()

@@ -79,7 +79,7 @@ def test_only_inequalities_of_what_is_free_at_the_end_limit_it():
         ),
         end_conditions=(lambda x0, v0, x1, v1: v0[0], 0, 2),
     )
-    assert mixed.limits_of_end == [0, 5]
+    assert mixed.limits_of_ends == [[], [0, 5]]
     function, low, high = mixed.conditions_at_ends
     assert (low, high) == ((0.0, -1.0, -9.0), (2.0, 1.0, 9.0))
     assert np.array(function(0, 0.25, 0.5, 0.75)).ravel().tolist() == [0.25, 0.75, 0.375]
@@ -156,3 +156,14 @@ def test_what_end_conditions_do_not_speak_of_keeps_to_its_limit(options):
     path = cg.solve(rewarded(end_conditions=strip), **options)
     assert path.cost == pytest.approx(-1.62, rel=1e-7)
     assert path.x[0, -1] == pytest.approx(0.3, rel=1e-7)  # by a constant force
+
+
+@pytest.mark.parametrize("intervals", [4, 16])
+def test_a_rewarded_speed_at_a_free_start_keeps_to_its_limit(intervals):
+    problem = double_integrator(
+        t_span=(0, 3),
+        start_velocity=None,
+        initial_cost=lambda t, x, v: -10 * v[0],
+        path_constraint=(lambda t, x, v, u: v, -1, 1),
+    )
+    assert cg.solve(problem, cg.Galerkin(3), intervals).start_velocity[0] == pytest.approx(1, abs=1e-8)
