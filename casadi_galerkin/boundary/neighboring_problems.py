@@ -60,7 +60,7 @@ def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
 
     The paths are of boundary problems.  The neighbor of a path is the nearest one that comes before it.  On another
     branch the Morse index is another one, or the path is further from that of its neighbor, bent to meet the same
-    ends, than that is large.
+    ends, than the larger of both.
     """
     if not paths:
         return {}
@@ -75,7 +75,8 @@ def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
         if k > 0:
             i = nearest(values[k], values[:k], spread)
             bent = graph.guess_on_mesh(paths[numbers[i]], path.t)
-            away = relative_distance(path.polynomial.values, bent.values)
+            values_of = path.polynomial.values, bent.values
+            away = min(relative_distance(*values_of), relative_distance(*values_of[::-1]))
             if indices[k] != indices[i] or away > 1:
                 on_other_branch[number] = numbers[i]
     return on_other_branch
