@@ -61,6 +61,7 @@ def test_blasius_layer_is_found_by_newtons_method_from_a_line():
     assert path.solver.startswith("Newton")
 
 
+@pytest.mark.slow
 def test_where_newtons_method_is_lost_it_is_ipopt_that_finds_or_says_so():
     """No swing from below is so fast that it is at 1 after three seconds, but for one that goes back first."""
     motor = {
@@ -137,6 +138,7 @@ def test_an_answer_without_controls_is_printed_and_drawn():
         path.plot_controls()
 
 
+@pytest.mark.slow
 def test_an_answer_without_controls_is_a_casadi_function_of_its_ends():
     answer = cg.solution_function(cg.ControlProblem(**HEAT), cg.Galerkin(4), 4)
     path = cg.solve(cg.ControlProblem(**(HEAT | {"end": [0.1, None]})), cg.Galerkin(4), 4)

@@ -470,7 +470,7 @@ def test_callables_of_first_order_leave_out_velocities_or_take_them():
         jumps=[(0.5, lambda x, v: (x - 0.1, v))],
         end_conditions=(lambda x0, v0, x1, v1: x1 - x0, -5, 5),
     )
-    costs = [cg.solve(problem, cg.Galerkin(3), 4).cost for problem in (short, whole)]
+    costs = [cg.solve(problem, cg.Galerkin(2), 2).cost for problem in (short, whole)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
 
 
