@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -19,8 +18,7 @@ from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.legendre_transform import momentum_at
-from casadi_galerkin.problems.phases import CONTINUITY, Phases
+from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -54,8 +52,7 @@ def answer(
     bound_multipliers = optimum.bound_multipliers
     whole = {**solve, "cost_size": report.cost_size, "duals": (multipliers, bound_multipliers)}
     hamiltonians = np.split(report.hamiltonian, np.cumsum([chain.intervals for chain in numbers.chains])[:-1])
-    words = CONTINUITY.format("x")
-    links = {join.after + 1: f"join {i}" for i, join in enumerate(graph.joins.each) if join.words == words}
+    starts = np.split(report.starts, np.cumsum([chain.dimension - chain.mechanical for chain in numbers.chains])[:-1])
     found = list[ControlTrajectory]()
     for k, (phase, chain, values, path) in enumerate(zip(phases, numbers.chains, found_values, paths, strict=True)):
         joints, mechanical, rule = path.mesh, chain.mechanical, chain.method.element.points
@@ -74,13 +71,7 @@ def answer(
         momentum = np.zeros((chain.dimension, len(joints)))
         momentum[:mechanical] = (values["momentum"] * values["sizes"]).T
         rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T
-        first = None
-        if k in links:
-            pulls = multipliers[numbers.joins[links[k]]] + bound_multipliers[chain.fields["x"][0]]
-            at = joints[0], values["x"][0], np.append(values["start_velocity"], rates[0]), parameters or ()
-            pulls -= multipliers[chain.rows["start"]] @ momentum_change(phase.lagrangian, mechanical)(*at).full()
-            first = -pulls[mechanical:]
-        costate = chain.costate(multipliers, bound_multipliers, joints, first)
+        costate = chain.costate(multipliers, bound_multipliers, joints, starts[k])
         found.append(
             ControlTrajectory(
                 polynomial=path,
@@ -103,14 +94,6 @@ def answer(
         solved_phases = problem.found([one.problem for one in found])
         return PhasesTrajectory(phases=_parts(found), problem=solved_phases, cost=report.cost, **whole)
     return found[0] if len(found) == 1 else _in_one(problem, phases, found, report.cost, second_order)
-
-
-@lru_cache(8)
-def momentum_change(lagrangian: ca.Function, mechanical: int) -> ca.Function:
-    """(t, x, v, p) -> derivatives of the momenta by x."""
-    t, x, v, *p = lagrangian.sx_in()
-    change = ca.jacobian(momentum_at(lagrangian, t, x, v, *p)[:mechanical], x)
-    return ca.Function("momentum_change", [t, x, v, *(p or [ca.SX(0, 1)])], [change])
 
 
 def _path_multipliers(chain: Chain, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath | None:

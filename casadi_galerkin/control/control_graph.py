@@ -50,6 +50,7 @@ class Report:
     equations, sizes : G, and for every kind of equation the largest sum of the sizes of the terms of one
     slope : ∇f̄ without the multipliers of the bounds
     hamiltonian : mean over each interval of all phases; without multipliers that of the cost alone
+    starts : derivatives of the terms of f̄ at the quadrature points by what follows rates at the starts of all phases
     """
 
     cost: float
@@ -60,6 +61,7 @@ class Report:
     sizes: np.ndarray
     slope: np.ndarray
     hamiltonian: np.ndarray
+    starts: np.ndarray
 
 
 class ControlGraph:
@@ -195,6 +197,8 @@ class ControlGraph:
         others = ca.mtimes(ca.fabs(made.linear), sizes)
         magnitudes = ca.mtimes(ca.fabs(made.differentiated), ca.vertcat(sizes, ca.fabs(self.data)))
         canceled = ca.mtimes(ca.fabs(self._derivatives), magnitudes)
+        starts = np.concatenate([chain.fields["x"][0, chain.mechanical :] for chain in self.numbering.chains])
+        at_points = [np.full(place.count * len(place.terms.active), float(place.integrated)) for place in self.places]
         slopes = self._gradients + ca.mtimes(self._derivatives.T, ca.veccat(*local_multipliers))
         active = [z[place.terms.active.tolist(), :] for place, z in zip(self.places, self.inputs, strict=True)]
         changes = [z - ca.repmat(ca.sum2(z) / z.shape[1], 1, z.shape[1]) for z in active]
@@ -221,6 +225,7 @@ class ControlGraph:
             ca.mtimes(test, canceled) + others,
             ca.mtimes(made.derivative.T, slopes) + linear,
             ca.vertcat(*hamiltonians),
+            ca.mtimes(made.derivative[:, starts.tolist()].T, slopes * ca.DM(np.concatenate(at_points))),
         ]
         verification = self._function("verification", [*map(ca.densify, outputs)], factor, multipliers, sizes)
         return ObjectPool(lambda: Evaluator(verification))
@@ -235,7 +240,7 @@ class ControlGraph:
         sizes = largest_of(np.abs(unknowns), numbers.unknown_kinds)[numbers.unknown_kinds]
         with self._verification.lend() as evaluate:
             cost, of_changes, *arrays = evaluate(unknowns, data, np.ones(1), given, sizes)
-        costs, actions, equations, *terms, slope, hamiltonian = arrays
+        costs, actions, equations, *terms, slope, hamiltonian, starts = arrays
         # The terms of a component at rest are only roundoff of its slopes, which is measured by the sizes of the terms
         # that cancel in the slopes.  The sizes of other components do not include these.
         moving, canceled = (largest_of(sizes, numbers.kinds) for sizes in terms)
@@ -244,7 +249,7 @@ class ControlGraph:
         for chain in numbers.chains:
             sizes[chain.motions] = np.where(at_rest, canceled, moving)[chain.motions]
         size = max(abs(cost.item()), LEAST_COST * of_changes.item())
-        return Report(cost.item(), size, costs, actions, equations, sizes, slope, hamiltonian)
+        return Report(cost.item(), size, costs, actions, equations, sizes, slope, hamiltonian, starts)
 
 
 def phases_of(problem: ControlProblem | Phases) -> Sequence[ControlProblem]:

@@ -262,7 +262,7 @@ class Chain:
         return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes)
 
     def costate(
-        self, multipliers: np.ndarray, bounds: np.ndarray, mesh: np.ndarray, first: np.ndarray | None
+        self, multipliers: np.ndarray, bounds: np.ndarray, mesh: np.ndarray, start: np.ndarray
     ) -> PiecewisePolynomial:
         """The multipliers of the equations of motion, and of the rates, as a path.
 
@@ -275,7 +275,7 @@ class Chain:
         ----------
         multipliers, bounds : of the equations, and of the bounds of the unknowns
         mesh : (N + 1,)
-        first : that of the rates at the start, where it is known from a link
+        start : derivatives of the Lagrangian by what follows rates at the start
         """
         m, others = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
@@ -286,7 +286,7 @@ class Chain:
             ends = -multipliers[self.rows["x"]][:, others]
             rates[1:, 0] = ends[:-1]
             rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, others]]
-            rates[0, 0] = rates[0, 0] if first is None else first
+            rates[0, 0] = start
         values = np.hstack((motion, np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1])))).T
         jumping = np.arange(1, self.intervals) if self.velocities_of_rates else self.breaks
         arrivals = values[:, m::m].copy()

@@ -23,7 +23,6 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import entries_of, rows_that_depend
 from casadi_galerkin.problems.problem import with_values
 
-CONTINUITY = "the continuity of {}[{{}}]"  # of x and v
 NOTHING = ca.Function("joins", [], [ca.SX(0, 1)])
 Link: TypeAlias = Traceable | tuple[Traceable, Limit, Limit] | None
 
@@ -114,7 +113,7 @@ def _joined(
         else:
             x, v = (before.x1, before.v1) if link is None else link(before.x1, before.v1, *p)
             gaps = {"x": after.x0 - x, "v": (after.v0 - v)[: phases[k + 1].mechanical]}
-            joins += [Join(CONTINUITY.format(name), k, gap) for name, gap in gaps.items()]
+            joins += [Join(f"the continuity of {name}[{{}}]", k, gap) for name, gap in gaps.items()]
     joins = [join for join in [*joins, *others(ends)] if join.rows.numel()]
     rows = ca.densify(ca.vertcat(*(join.rows for join in joins)))
     sides = [join.sides or ((0.0,) * join.rows.numel(),) * 2 for join in joins]
