@@ -49,7 +49,7 @@ def trace(
     if isinstance(function, ca.Function):
         short = function.n_in() <= len(few)
     else:
-        short = not (callable(function) and _binds(function, taken))
+        short = not callable(function) or _binds(function, few) or not _binds(function, taken)
     taken = few if short else taken
     shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in taken.items())
     if isinstance(function, ca.Function):
