@@ -18,6 +18,7 @@ def test_degree_to_100_at_lobatto_points(degree):
     assert extremes.degree(degree) < ROUNDOFF
 
 
+@pytest.mark.slow
 def test_equispaced_points_lose_digits_from_degree_20_on():
     errors = [extremes.degree(m, cg.equispaced_points) for m in (20, 30)]
     assert ROUNDOFF < errors[0] < 1e-10

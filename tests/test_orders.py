@@ -266,6 +266,7 @@ HIGH = [
     ("name", "m", "rule", "family", "n"),
     [("varying mass", *HIGH[0]), *slow(*((name, *case) for name in PARTIALS for case in HIGH))[1:]],
 )
+@pytest.mark.slow
 def test_orders_of_high_degree(references, name, m, rule, family, n):
     steps, rows = (1, 2, 3), []
     with mpmath.workdps(DIGITS):

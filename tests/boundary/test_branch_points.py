@@ -90,6 +90,7 @@ def test_under_a_force_branch_points_are_found_without_an_index():
     assert branch.trajectories[0].morse_index is None
 
 
+@pytest.mark.slow
 def test_the_apex_of_a_pitchfork_is_a_branch_point_of_the_bent_branch():
     bent = cg.continuation(rod(20.0), [5.0], intervals=12, guess=lambda s: [1.5 * np.cos(np.pi * s)], branches=4)
     assert bent[0].branch_points[0].parameters[0] == pytest.approx(np.pi**2, rel=1e-11)

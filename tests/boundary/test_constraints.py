@@ -498,6 +498,7 @@ def test_a_component_that_a_constraint_keeps_at_zero_is_zero_but_for_rounding(ho
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-9])
+@pytest.mark.slow
 def test_a_pivot_that_turns_at_a_named_time_takes_no_energy_unseen(tol):
     """Its velocity jumps, and so does that of the rod, at a breakpoint; the same in the angle of the rod."""
 

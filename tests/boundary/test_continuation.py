@@ -176,6 +176,7 @@ def test_the_gravity_of_a_constrained_path_is_walked():
     np.testing.assert_allclose(branch.trajectories[-1].x, on_circle(angle.x[0]), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_attraction_of_an_orbit_of_given_energy_is_walked():
     """The axis is μ/(-2E), the period 2π √(axis³/μ): half a turn from pericenter 0.7 takes π μ/(-2E)^(3/2)."""
     problem = cg.BoundaryProblem(
@@ -227,6 +228,7 @@ def test_a_sharp_fold_is_exact(imperfection):
     np.testing.assert_allclose(branch.folds[0].parameters, [least], rtol=1e-12, atol=0)
 
 
+@pytest.mark.slow
 def test_a_first_step_that_lands_on_a_conjugate_point_is_shortened():
     """That of a path at rest is a twentieth of the way; from (kπ)² on it is a saddle of Morse index k."""
     target = 9 + 20 * (np.pi**2 - 9)

@@ -109,6 +109,7 @@ def test_failure_prints_nothing(solver, capfd):
     assert (out, err) == ("", "")
 
 
+@pytest.mark.slow
 def test_terms_beyond_all_numbers_are_reported_without_a_warning():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.exp(ca.exp(x[0])), (0, 1), [2.4], [13.4])
     with pytest.raises(cg.ConvergenceError, match="no path was found"):
@@ -132,6 +133,7 @@ def test_a_free_duration_that_left_the_doubles_is_named(start, end, energy, chan
     assert not recwarn.list
 
 
+@pytest.mark.slow
 def test_a_first_path_whose_duration_shrinks_to_nothing_does_not_keep_others_from_being_found():
     problem = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2,

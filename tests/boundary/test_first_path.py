@@ -44,6 +44,7 @@ def off(path, exact):
 
 
 @pytest.mark.parametrize("seed", [1, *slow(3)])
+@pytest.mark.slow
 def test_noise_does_not_hide_a_great_circle(seed):
     problem = great_circle()
     exact = cg.solve(problem, tol=1e-9)
@@ -153,6 +154,7 @@ def test_a_layer_thinner_than_doubles_tell_is_no_bad_mesh(capsys):
     assert "random guesses: no path" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_values_at_the_first_joints_are_a_guess_on_any_mesh():
     """On so few intervals Newton's method finds nothing, and a finer mesh is tried; the next time the first is fine."""
     bead = cg.BoundaryProblem(lambda t, x, v: ca.sqrt((1 + v[0] ** 2) / x[0]), (0, 1), [1e-2], [1.0])
@@ -232,6 +234,7 @@ def test_a_force_that_leaves_no_path_is_refused():
 
 
 @pytest.mark.parametrize("tol", [1e-6, *slow(1e-11)])
+@pytest.mark.slow
 def test_a_front_that_nothing_holds_ends_no_search(tol):
     """Newton's method finds fronts in the middle, where the second variation vanishes; the path's is at its end."""
     stiffness, potential = 1e-4, lambda x: x**2 / 2 - x**4 / 4
@@ -242,6 +245,7 @@ def test_a_front_that_nothing_holds_ends_no_search(tol):
     assert path.action == pytest.approx(-0.25 + front, abs=1e-8 + 0.1 * tol)
 
 
+@pytest.mark.slow
 def test_paths_of_a_family_are_refused():
     """ε x'' = t x', whose middle only exp(-1/2ε) ties to the ends."""
     problem = cg.BoundaryProblem(

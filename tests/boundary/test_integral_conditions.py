@@ -76,6 +76,7 @@ def mode(number, last):
     return lambda t: np.array([np.sin(number * np.pi * t / last)])
 
 
+@pytest.mark.slow
 def test_a_hanging_cable_is_a_catenary_with_its_tension_as_multiplier():
     path, a = cg.solve(hanging(), tol=1e-13, guess=bump_down), catenary()
     np.testing.assert_allclose(path.x[0], a * np.cosh(path.t / a) - a * np.cosh(1 / a), rtol=0, atol=CLOSED_FORM)

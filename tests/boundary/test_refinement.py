@@ -257,6 +257,7 @@ def test_the_time_may_be_up_on_a_later_level(monkeypatch):
     np.testing.assert_allclose(best(exact.t), exact.x, rtol=0, atol=best.error_estimate)
 
 
+@pytest.mark.slow
 def test_conjugate_ends_are_named():
     problem = cg.BoundaryProblem(oscillator, (0, np.pi), [0.0], [0.0])
     with pytest.raises(cg.ConjugatePointError):
@@ -356,6 +357,7 @@ def test_a_path_from_a_center_where_the_mass_vanishes_is_that_of_its_bessel_func
 
 @pytest.mark.parametrize("tol", [1e-2, *slow(1e-4)])
 @pytest.mark.parametrize("stiffness", [6e-3, *slow(2e-3)])
+@pytest.mark.slow
 def test_a_mesh_too_coarse_to_see_that_a_path_is_undetermined_is_not_believed(stiffness, tol):
     """ε x'' = t x': exp(-1/2ε) ties the middle to the ends.  It was anything from 0 to 1, with estimates of 1e-5."""
     turning = cg.BoundaryProblem(

@@ -58,6 +58,7 @@ def test_the_known_swings_of_the_pendulum_are_found(swings):
         assert path.morse_index == index
 
 
+@pytest.mark.slow
 def test_the_swings_of_the_pendulum_are_all_and_no_others(swings):
     """Swings that arrive at 1, by integration of all velocities from -2.1 to 2.1: beyond, the pendulum only rotates."""
     near = np.logspace(-9, -2, 60)
@@ -102,7 +103,7 @@ def test_thirteen_geodesics_join_two_points_of_a_torus(geodesics):
         assert path.error_estimate < 1e-6
 
 
-@pytest.mark.parametrize("found", ["swings", "geodesics"])
+@pytest.mark.parametrize("found", ["swings", *slow("geodesics")])
 def test_paths_differ_and_are_ordered_by_action(found, request):
     found = request.getfixturevalue(found)
     assert np.all(np.diff([path.action for path in found]) > 0)
@@ -248,6 +249,7 @@ def test_the_search_ends_at_the_count_or_when_nothing_new_is_found(swings):
     assert repr(single).startswith("Paths: 1 stationary path in 21 solves")
 
 
+@pytest.mark.slow
 def test_a_table_shows_the_first_paths(geodesics):
     lines = repr(geodesics).splitlines()
     assert len(lines) == 8
@@ -256,6 +258,7 @@ def test_a_table_shows_the_first_paths(geodesics):
 
 
 @pytest.mark.usefixtures("headless")
+@pytest.mark.slow
 def test_one_picture_shows_all(swings, geodesics):
     axes = swings.plot(labels="angle in rad", time="t in s")
     assert (len(axes.lines), axes.get_ylabel(), axes.get_xlabel()) == (5, "angle in rad", "t in s")

@@ -88,6 +88,7 @@ def test_derivatives_by_the_ends_are_the_same_in_any_units(number):
 
 # a given energy is no duration, and a path at rest has no momentum that its end could be judged by
 @pytest.mark.parametrize("number", [0, *slow(*(number for number in NUMBERS if number not in (0, 1, 7)))], **NAMES)
+@pytest.mark.slow
 def test_a_shot_is_the_same_in_any_units(number):
     (ends, *acting), expected = STATED[number], solved(number, ONE)
     for units in UNITS:

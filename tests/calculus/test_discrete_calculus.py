@@ -182,6 +182,7 @@ def test_operator_is_the_embedding_and_its_derivative_at_the_quadrature_points(c
 
 
 @pytest.mark.parametrize("method", METHODS, ids=str)
+@pytest.mark.slow
 def test_discrete_du_bois_reymond_lemma(method, rng):
     """∫ (f y + g y') Δ_w t = 0 for all Y with zero ends if and only if (cond1) and (cond2) hold.
 

@@ -95,6 +95,7 @@ def test_held_controls_change_by_their_rate_times_an_interval():
 @pytest.mark.parametrize(
     "changes", [{"velocity_bounds": (-9, 0.7)}, *slow({"control_bounds": (-2, 2)}, {"position_bounds": (-1, 1)})]
 )
+@pytest.mark.slow
 def test_bounds_change_and_nothing_is_rebuilt(changes):
     program = cg.transcribe(double_integrator(**BRAKED), METHOD, 8)
     built, again = program.graph, program.solve(**changes)

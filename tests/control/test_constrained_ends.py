@@ -66,6 +66,7 @@ def test_a_velocity_given_to_a_solve_determines_the_position_as_well():
     np.testing.assert_allclose(path.x[:, -1], [np.sqrt(0.5), -np.sqrt(0.5)], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_velocity_that_is_tangent_nowhere_has_no_path():
     with pytest.raises(cg.ConvergenceError, match="worst violated constraint is constraint 0 at t = 0"):
         cg.solve(on_circle(start=[None, -0.8], start_velocity=[1.0, 0.0]), METHOD, INTERVALS, guess=quarter)

@@ -79,6 +79,7 @@ UNITS_OF_TIME = {
 
 
 @pytest.mark.parametrize("name", UNITS_OF_TIME)
+@pytest.mark.slow
 def test_what_units_of_time_may_do_is_said(name):
     changes, message = UNITS_OF_TIME[name]
     with pytest.raises(cg.ConvergenceError, match=message):
@@ -142,6 +143,7 @@ def test_forces_of_units_far_too_small_are_compared_with_their_bounds(stated):
 
 
 @pytest.mark.parametrize("count", [lambda t, x, v, u: u[0] ** 2 / 2, lambda t, x, v, u: u[0] * v[0]])
+@pytest.mark.slow
 def test_what_is_spent_of_nothing_is_zero(count):
     """A pendulum that swings by itself: its control is zero but for the solver's tolerance, and so is the effort."""
     swinging = cg.ControlProblem(

@@ -87,6 +87,7 @@ def test_turns_are_taken_away():
     np.testing.assert_allclose(turns, turns[0, 0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_turns_are_taken_away_where_a_component_of_the_force_is_rounding():
     """Along a line the thrust has the angle 0 or π, and its other component is zero up to rounding."""
     angles = np.repeat([[[0.0]], [[np.pi]]], 3, axis=0) + np.zeros((6, 4, 1))
@@ -107,6 +108,7 @@ def test_controls_that_are_continuous_or_jump_between_bounds_are_kept(problem):
     np.testing.assert_array_equal(found, values.reshape(-1, values.shape[-1]).T)
 
 
+@pytest.mark.slow
 def test_an_angle_stays_within_its_bounds():
     path = arrived(1e-6)
     path = replace(path, problem=steered(control_bounds=(-10, 10), t_span=path.problem.t_span))

@@ -58,6 +58,7 @@ def test_without_a_given_value_there_is_no_answer():
         assert np.isnan(float(f(**{key: value for key, value in given.items() if key != name})["cost"]))
 
 
+@pytest.mark.slow
 def test_a_guess_that_is_not_a_number_has_no_answer():
     way, method = staged(parameter_bounds=None), cg.Galerkin(3)
     path = cg.solve(way, method, 6)
@@ -68,6 +69,7 @@ def test_a_guess_that_is_not_a_number_has_no_answer():
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
+@pytest.mark.slow
 def test_ends_beyond_the_bounds_of_positions_have_no_answer(solver):
     problem = double_integrator(position_bounds=(-1.0, 2.0))
     f, path = cg.solution_function(problem, cg.Galerkin(3), 6, solver=solver), cg.solve(problem, cg.Galerkin(3), 6)

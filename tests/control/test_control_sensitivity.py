@@ -187,6 +187,7 @@ def arguments(problem, path, **changes):
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, *slow(cg.fatrop)], ids=str)
+@pytest.mark.slow
 def test_the_function_of_an_optimum_has_its_derivatives(solver):
     problem = PROBLEMS["bounded control"]()
     path = solved(problem)
@@ -199,6 +200,7 @@ def test_the_function_of_an_optimum_has_its_derivatives(solver):
             assert np.max(np.abs(own - derivative.reshape(own.shape))) <= AGREEMENT
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_function_are_not_finite_where_a_bound_hardly_acts():
     free = solved(pushed())
     problem = pushed(control_bounds=([-np.inf], [float(free.control.values.max())]))

@@ -131,6 +131,7 @@ def test_bounds_of_phases_say_where_the_breakpoint_may_be(bounds, guess):
     assert again.cost == pytest.approx(2, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_the_sum_of_the_bounds_holds():
     """No less than 1.2 each: the least effort in 2.4 or more is that in 2.4."""
     slow = race(

@@ -129,6 +129,7 @@ def test_bounds_narrower_than_fatrop_relaxes_them_are_kept(changes):
     assert narrow.cost == pytest.approx(other.cost, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_sequential_quadratic_programs_begin_from_an_earlier_answer():
     program = cg.transcribe(pendulum(3.0, control_bounds=(-2.5, 2.5)), cg.Galerkin(3), 12)
     cold = program.solve(solver=cg.sqp)

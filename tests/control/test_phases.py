@@ -52,6 +52,7 @@ def in_one(**changes):
     return moving(0.0, 2.0, 1.0, 1.0, start_velocity=0.0, end_velocity=0.0, **(stated | changes))
 
 
+@pytest.mark.slow
 def test_a_bounce_is_the_same_as_one_problem_with_a_jump():
     path, other = cg.solve(bouncing(), cg.Galerkin(3), 4), cg.solve(in_one(), cg.Galerkin(3), 4)
     speed = 10.8 / 6.56
@@ -68,6 +69,7 @@ def test_a_bounce_is_the_same_as_one_problem_with_a_jump():
     assert path.estimate_error() < 1e-9
 
 
+@pytest.mark.slow
 def test_free_durations_follow_one_another():
     timed = {"duration_bounds": (0.3, 5.0), "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + 1}
     path = cg.solve(bouncing(**timed), cg.Galerkin(4), 8)
@@ -80,6 +82,7 @@ def test_free_durations_follow_one_another():
     assert cg.transcribe(bouncing(**timed), cg.Galerkin(4), 8).solve(guess=path).iterations <= 2
 
 
+@pytest.mark.slow
 def test_a_component_goes_with_the_body_that_is_dropped():
     """Two bodies move side by side; after a third of the time one of them is left, which then goes on alone."""
     path = cg.solve(
@@ -232,6 +235,7 @@ def treated():
     return cg.Phases([dosed, without], links=[lambda x, v: (x[:2], v[:2])])
 
 
+@pytest.mark.slow
 def test_a_tumor_shrinks_as_published_in_two_phases_of_which_one_has_no_control():
     """Without a guess, the second phase begins where the law of the first leads, as its rates have no value at zero."""
     phases = treated()
@@ -254,6 +258,7 @@ def test_without_a_guess_lines_lead_to_the_next_positions_that_are_given():
     np.testing.assert_allclose(ends, [[1, 2], [2, 3], [3, 5], [2, 2]], rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_tolerance_is_met_by_every_phase():
     timed = {"duration_bounds": (0.3, 5.0), "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + 1 + ca.sin(3 * x[0])}
     exact = cg.solve(bouncing(**timed), cg.Galerkin(10), 12)

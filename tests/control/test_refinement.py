@@ -131,6 +131,7 @@ def test_obstacle_is_passed_below_at_the_exact_cost():
 
 
 @pytest.mark.parametrize(("stiffness", "drag", "speed", "price"), [(1.0, 0.5, 1.0, 0.1), *slow((2.5, 0.2, 1.7, 0.6))])
+@pytest.mark.slow
 def test_periodic_ends_may_lie_where_a_component_turns(stiffness, drag, speed, price):
     """There x[1] is zero at both ends: what the condition compares is rounding, and was once called violated."""
     follow = first_order(
@@ -368,6 +369,7 @@ def test_lines_of_the_levels(capsys):
     assert any(line.startswith("ControlTrajectory") for line in lines)
 
 
+@pytest.mark.slow
 def test_lines_of_the_solver_of_all_levels(capfd):
     """IPOPT prints past Python: one exit for each of three paths."""
     cg.solve(double_integrator(), tol=1e-4, verbose=2)

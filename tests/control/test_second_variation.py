@@ -40,6 +40,7 @@ def over_a_hill(across, height=100.0, length=1.0, price=1.0, unit=1.0):
 
 @pytest.mark.parametrize("across", [1, 2])
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=lambda solver: solver.name)
+@pytest.mark.slow
 def test_a_line_over_a_hill_is_a_saddle_in_every_direction_across(across, solver):
     path = cg.solve(over_a_hill(across), METHOD, 12, solver=solver)
     assert path.morse_index == across

@@ -50,6 +50,7 @@ def test_no_path_is_called_known_that_the_cost_hardly_knows(power, tol):
 
 
 @pytest.mark.parametrize("problem", [cart_pole(), minimum_time()], ids=["swing-up", "bang-bang"])
+@pytest.mark.slow
 def test_it_is_rounding_where_the_cost_knows_the_path(problem):
     path = cg.solve(problem, tol=1e-4)
     assert path.solver_error < 1e-9

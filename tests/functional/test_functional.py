@@ -193,6 +193,7 @@ def test_hessian_has_the_nonzeros_of_one_full_block_an_interval(degree, interval
     assert tr.hessian.nnz_out(0) == count * d**2
 
 
+@pytest.mark.slow
 def test_hessian_of_a_long_spring_chain_is_sparse_within_its_blocks():
     """50 masses: every cell couples a mass with its two neighbors, 3 d - 2 entries of d²."""
     d, n, m = 50, 3, 3

@@ -451,6 +451,7 @@ def test_without_controls_a_cost_may_choose_what_conditions_leave_free():
     assert fit.controls == 0
 
 
+@pytest.mark.slow
 def test_callables_of_first_order_leave_out_velocities_or_take_them():
     short = cg.ControlProblem(
         rates=lambda t, x, u: u - x,

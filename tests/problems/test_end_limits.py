@@ -36,6 +36,7 @@ def test_a_speed_that_is_rewarded_keeps_to_its_limit(options, solver):
     assert path.end_velocity[0] <= LIMIT + SOLVED
 
 
+@pytest.mark.slow
 def test_a_place_that_is_rewarded_keeps_within_a_disc():
     """A force of constant direction: the cheapest way to the rim of the disc, at (0.3, 0.4)."""
     problem = cg.ControlProblem(
@@ -56,6 +57,7 @@ def test_a_place_that_is_rewarded_keeps_within_a_disc():
     assert path.cost == pytest.approx(3 / 2 * 0.25 - 5, rel=1e-8)  # 3/2 r² is the least effort to a distance r
 
 
+@pytest.mark.slow
 def test_a_component_that_follows_a_rate_is_limited():
     climbing = first_order(
         t_span=(0.0, 1.0),
@@ -87,6 +89,7 @@ def test_only_inequalities_of_what_is_free_at_the_end_limit_it():
     assert without.conditions_at_ends is without.end_conditions
 
 
+@pytest.mark.slow
 def test_a_curve_is_kept_to_its_end():
     """Along a parabola the path and the cost are those between ends that are given in full."""
 

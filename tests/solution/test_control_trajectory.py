@@ -252,6 +252,7 @@ def test_a_hamiltonian_that_varies_because_of_given_times_says_so():
 
 
 @pytest.mark.usefixtures("headless")
+@pytest.mark.slow
 def test_a_picture_shows_path_constraints_bounds_and_breakpoints():
     problem = double_integrator(
         t_span=(0.0, 2.0),

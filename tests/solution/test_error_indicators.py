@@ -207,6 +207,7 @@ def test_an_energy_that_is_not_a_number_is_a_miss():
     assert np.all(np.isinf(energy_imbalance(np.array([1.0, np.nan, 1.0]), np.ones(3), np.zeros(3))))
 
 
+@pytest.mark.slow
 def test_the_balance_holds_with_friction_and_under_a_constraint_that_moves():
     """A force takes energy by its work, a constraint that moves gives some by its own."""
 
@@ -342,6 +343,7 @@ def test_over_a_kink_in_x_there_is_no_second_variation():
 
 
 @pytest.mark.parametrize("named", [(), (np.arctan2(0.7, 1.1),)])
+@pytest.mark.slow
 def test_over_a_step_of_dry_friction_there_are_no_derivatives(named):
     """Where a spring with dry friction turns round, also where that time is a breakpoint: they were off by 14 %."""
     turn, swing = np.arctan2(0.7, 1.1), np.hypot(0.7, 1.1)  # x'' = -x - sign(x')/10 from x = 1, x' = 0.7

@@ -61,6 +61,7 @@ def test_labels_that_are_not_one_a_component_are_refused(labels):
         planar().solve().plot(labels=labels)
 
 
+@pytest.mark.slow
 def test_a_long_title_stays_inside_of_the_figure():
     axes = swing().solve().plot()
     axes.set_title("Degree 10 on 200 intervals: action -2.93331e-11, Morse index 12", wrap=axes.title.get_wrap())

@@ -122,6 +122,7 @@ STEPS = {  # on the path, in a velocity, and in time where the duration is free;
 
 
 @pytest.mark.parametrize("name", STEPS)
+@pytest.mark.slow
 def test_steps_that_no_derivative_sees_are_refused(name):
     with pytest.raises(cg.LimitReached, match="steps"):
         cg.solve(double_integrator(t_span=(0.0, 1.5), **STEPS[name]), tol=1e-3)

@@ -128,6 +128,7 @@ def test_components_of_very_different_size_are_solved_together():
     np.testing.assert_allclose(path.x, np.outer([1e-12, 1e12], np.sin(path.t) / np.sin(1)), rtol=1e-13, atol=0)
 
 
+@pytest.mark.slow
 def test_ends_that_are_conjugate_fail_without_a_warning():
     """The end is the start turned by the oscillator's own phase: the direction of smallest curvature is of any size."""
     c, s = np.cos(np.pi / 3), np.sin(np.pi / 3)
@@ -143,6 +144,7 @@ def test_ends_that_are_conjugate_fail_without_a_warning():
 
 
 @pytest.mark.parametrize(("half_periods", "after", "said"), [(1, -1e-9, "roundoff floor"), (3, 1e-13, "conjugate")])
+@pytest.mark.slow
 def test_steps_that_are_roundoff_next_to_a_conjugate_point_end_the_iterations(half_periods, after, said):
     """They are as long as eps over the second variation, and do not shrink."""
     end = half_periods * np.pi + after
@@ -206,6 +208,7 @@ def test_rest_at_the_origin_is_found_where_constants_cancel(mass, stiffness, how
 @pytest.mark.parametrize(
     ("place", "pull"), [(0.34851028435304277, 9.469327236237842), (0.2578, 3.7704), (0.0566, 10.655)]
 )
+@pytest.mark.slow
 def test_a_kink_is_not_taken_for_rounding(place, pull):
     """Its Hessian is the same on both sides, as it is where terms cancel: all was set to zero, with the ends."""
     problem = cg.BoundaryProblem(

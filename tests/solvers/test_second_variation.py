@@ -273,6 +273,7 @@ def between_layers(epsilon):
 
 
 @pytest.mark.parametrize("epsilon", [0.01, 0.005])
+@pytest.mark.slow
 def test_a_path_that_rounding_alone_chooses_is_refused(epsilon):
     for how in (
         {"tol": 1e-8},

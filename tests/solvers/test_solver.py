@@ -236,6 +236,7 @@ def test_options_reach_the_optimizer_of_a_control_problem():
     ids=["friction", "drag", "driven"],
 )
 @pytest.mark.parametrize("discretization", [{"tol": 1e-6}, *slow({"method": cg.Galerkin(4), "intervals": 200})])
+@pytest.mark.slow
 def test_a_pendulum_with_a_force_is_found_from_the_straight_line(push, duration, end, discretization):
     problem = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 + 4 * ca.cos(x[0]),

@@ -344,6 +344,7 @@ def test_steps_of_any_length_leave_a_rest(name, step, degree):
     assert path.iterations <= 6 * 50
 
 
+@pytest.mark.slow
 def test_steps_that_leave_their_constraint_between_the_nodes_are_refused():
     """All nodes are held, and between them the rod is up to a fifth too short."""
     message = "leaves its constraint between the nodes"

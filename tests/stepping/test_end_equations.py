@@ -198,6 +198,7 @@ ANGLES = {
 
 
 @pytest.mark.parametrize("kind", [*list(ANGLES)[::4], *slow(*(kind for k, kind in enumerate(ANGLES) if k % 4))])
+@pytest.mark.slow
 def test_under_a_constraint_ends_are_those_in_angles(kind):
     in_angles, cartesian = ANGLES[kind]
     angles = cg.solve(cg.BoundaryProblem(pendulum, (0, 1), **in_angles), METHOD, INTERVALS)
@@ -261,6 +262,7 @@ def shot_along_the_circle(speed):
 
 
 @pytest.mark.parametrize("speed", [1.0, *slow(4.2)])
+@pytest.mark.slow
 def test_newtons_method_leads_away_from_the_antipode(speed):
     path, end = shot_along_the_circle(speed)
     np.testing.assert_allclose(path.x[:, -1], end, rtol=0, atol=CLOSED)

@@ -12,6 +12,7 @@ import casadi_galerkin as cg
 METHOD = cg.Galerkin(8)
 
 
+@pytest.mark.slow
 def test_geometry_of_a_global_path_is_that_of_its_steps():
     problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9])
     path = cg.solve(problem, METHOD, intervals=10)

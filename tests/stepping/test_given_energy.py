@@ -152,6 +152,7 @@ def test_a_libration_has_the_period_of_its_elliptic_integral(amplitude):
     ],
     ids=["constraint", "every energy has this period", "loop of Henon and Heiles"],
 )
+@pytest.mark.slow
 def test_a_periodic_path_of_given_energy_is_closed(problem, guess, period):
     coarse = cg.solve(problem, cg.Galerkin(4), 12, guess=guess)
     path = shot_and_solved(problem, METHOD, problem.t_span[1] * np.linspace(0, 1, 19) ** 1.1, coarse)
@@ -242,6 +243,7 @@ def test_a_periodic_path_of_given_energy_needs_a_guess_that_moves_at_its_start()
 
 @pytest.mark.parametrize("length", [1e-10, *slow(1e8)])
 @pytest.mark.parametrize("intervals", [4, 40])
+@pytest.mark.slow
 def test_a_given_energy_is_met_on_a_circle_of_any_length(length, intervals):
     """The stretch of the steps is near 1, whatever the unit of length; it says nothing of the size of a step."""
     ends = [[0.0, -length], [length * np.sin(0.5), -length * np.cos(0.5)]]

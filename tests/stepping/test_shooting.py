@@ -79,6 +79,7 @@ def test_lamberts_problem_in_kilometers_and_seconds():
     np.testing.assert_allclose(path.velocity[:, -1], [-3.451565, 0.910315, 0], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_guess_chooses_among_several_paths():
     problem = cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0])
     for start in (1.9995687170165, 1.8318277309911, 1.3287479250456):
@@ -272,6 +273,7 @@ def test_the_estimate_counts_the_error_of_the_start_that_grows_towards_a_conjuga
     assert path.error_estimate == pytest.approx(cg.solve(problem, path.method, 10).estimate_error(), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_estimate_counts_the_error_of_a_duration_of_given_energy():
     """One turn over the upright position, where the pendulum is so slow that the duration depends on all digits."""
     energy, steps = 1 + 1e-5, (cg.Galerkin(4), 16)

@@ -23,6 +23,7 @@ def test_solved_and_exact_reference_give_the_same_errors(oscillator, measured):
             assert getattr(ours, name) == pytest.approx(getattr(theirs, name), rel=1e-5, abs=3 * REFERENCE)
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_a_fresh_solve(oscillator, measured):
     worst = measured.rows[4]
     path = cg.solve(oscillator, worst.method, worst.intervals)

@@ -655,6 +655,7 @@ def test_paths_of_neighboring_rates_at_an_end_are_on_one_branch(kind):
     assert not sweep.jumps
 
 
+@pytest.mark.slow
 def test_the_friction_of_a_force_is_varied():
     """x'' + c x' + 4 x = 0 between 1 and 1/2 in two units of time."""
     rates = [0.0, 0.5, 1.0]

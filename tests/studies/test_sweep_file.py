@@ -60,6 +60,7 @@ def test_what_the_file_has_is_not_solved_again(whole, solves):
 
 
 @pytest.mark.parametrize(("lost", "solved"), [(1, 1), (10**9, ALL)])  # chunks of three, the last one of one
+@pytest.mark.slow
 def test_a_chunk_that_was_cut_off_is_solved_again(whole, solves, tmp_path, lost, solved):
     file, first = whole
     cut, written = tmp_path / "cut.sweep", file.read_bytes()

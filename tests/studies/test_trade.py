@@ -82,6 +82,7 @@ def test_every_way_has_its_row(every_way):
 
 
 @pytest.mark.parametrize("tol", [10.0**-k for k in range(3, 12)])
+@pytest.mark.slow
 def test_the_cheapest_row_solves_again_within_the_tolerance(every_way, exact_swing, tol):
     problem, guess, measured = every_way
     path = measured.cheapest(tol).solve(problem, guess)
