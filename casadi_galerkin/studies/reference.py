@@ -1,8 +1,6 @@
 """Errors of a path against a reference: a path or a callable that is given, or else a solve near rounding.
 
-The reference is solved for to a tolerance below which boundary and control problems have little left to gain; an
-initial problem takes four degrees more on the joints of the finest row.  Its own error is its difference from a path of
-two degrees more on the same joints.
+The reference is solved for to a tolerance below which there is little left to gain; its own error is estimated.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin._solve import solve
-from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import APART, counted
 from casadi_galerkin.control.idle_breakpoints import with_joined_phases
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -104,24 +101,13 @@ def _marks(problem: Problem) -> list[float]:
     return section_times(with_joined_phases(problem) if isinstance(problem, ControlProblem) else problem)
 
 
-def finest(problem: AnyProblem, paths: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory]:
-    """A path several digits finer than the given ones, and one of two degrees more on the same joints."""
+def finest(problem: AnyProblem, paths: Sequence[Trajectory]) -> Trajectory:
+    """A path several digits finer than the given ones, with its estimated error."""
     best = max(paths, key=lambda path: path.polynomial.values.size)
-
-    def on(path: Trajectory, more: int) -> Trajectory:
-        mesh = map_times(path.t, section_times(path.problem), section_times(problem))
-        method = Galerkin(path.method.degree + more)
-        guess = None if isinstance(problem, InitialProblem) else path
-        return solve(problem, method, mesh=mesh, guess=guess)
-
-    if isinstance(problem, InitialProblem):
-        fine = on(best, 4)
-    else:
-        try:
-            tol = TIGHT if isinstance(problem, BoundaryProblem) else TIGHT_OPTIMUM
-            fine = solve(problem, tol=tol, guess=best)
-        except LimitReached as error:
-            if not isinstance(error.path, Trajectory):
-                raise
-            fine = error.path
-    return fine, on(fine, 2)
+    tol = TIGHT_OPTIMUM if isinstance(problem, ControlProblem) else TIGHT
+    try:
+        return solve(problem, tol=tol, guess=None if isinstance(problem, InitialProblem) else best)
+    except LimitReached as error:
+        if not isinstance(error.path, Trajectory):
+            raise
+        return error.path

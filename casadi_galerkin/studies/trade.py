@@ -30,7 +30,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import progress
-from casadi_galerkin.solution.quantity import Quantity, check_quantity, quantity
+from casadi_galerkin.solution.quantity import Quantity, check_quantity, quantity, size_of
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.studies.parallel import picklable_problem
@@ -231,9 +231,10 @@ def _truth(
     if given is not None:
         finest_row = max(paths, key=lambda path: path.polynomial.values.size)
         return ReferenceSolution(finest_row, of, given), "given", 0.0
-    fine, finer = finest(problem, paths)
-    truth = ReferenceSolution(fine, of)
-    own = float(truth.errors(finer)["error"])
-    if of is None:
-        own = max(own, fine.error_estimate or 0.0)
-    return truth, f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}", own
+    fine = finest(problem, paths)
+    own = fine.estimate_error() if of is None else float(np.max(fine.error_of(of))) / size_of(quantity(of, fine))
+    return (
+        ReferenceSolution(fine, of),
+        f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}",
+        own,
+    )

@@ -20,7 +20,8 @@ def test_solved_and_exact_reference_give_the_same_errors(oscillator, measured):
     assert exact.reference_error == 0.0
     for ours, theirs in zip(measured.rows, exact.rows, strict=False):
         for name in ("error", "joint_error"):
-            assert getattr(ours, name) == pytest.approx(getattr(theirs, name), rel=1e-5, abs=3 * REFERENCE)
+            # sizes are the largest values at nodes, up to 2e-5 short of the maximum between them
+            assert getattr(ours, name) == pytest.approx(getattr(theirs, name), rel=2e-5, abs=3 * REFERENCE)
 
 
 @pytest.mark.slow
@@ -138,7 +139,7 @@ def test_a_way_whose_quantity_is_not_defined_fails_alone(oscillator):
 
 
 def test_an_exception_of_a_quantity_is_a_failure_that_names_it(oscillator):
-    coarse, fine = cg.trade(oscillator, [cg.Galerkin(4)], [4, 8], of=lambda path: path.x[0, 5]).rows
+    coarse, fine = cg.trade(oscillator, [cg.Galerkin(4)], [4, 8], of=lambda path: path.momentum[0, 5]).rows
     assert coarse.failure.startswith("of raised IndexError(")
     assert fine.failure is None
     with pytest.raises(ValueError, match="of raised KeyError"):
