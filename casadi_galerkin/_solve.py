@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, overload
@@ -35,6 +37,7 @@ from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solution.quantity import Quantity, check_asked
 from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.stepping.initial_value import integrate, to_tolerance
 
@@ -138,7 +141,8 @@ def solve(
         with one for each.  `Transcription.solve` and `ControlTranscription.solve` have all forms
     solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt (the default), fatrop
         or sqp for a ControlProblem; each also ``.with_options(...)``
-    limits : Limits that stop a refinement, by default after 120 s; only with a tolerance
+    limits : Limits that stop a refinement, by default after 120 s; without a tolerance, their seconds stop the solver
+        and its retries, by default never
     starts : how often to solve a ControlProblem, from `guess` first and then from random paths, always the same ones;
         the cheapest optimum is returned, and its `solver` says how many were met.  With a tolerance all are solved
         on the first mesh, and those refined that may be the best.  (`paths` finds several paths of a BoundaryProblem.)
@@ -178,7 +182,7 @@ def solve(
         several = "`paths` finds several paths of a BoundaryProblem"
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
     tolerance = None if tol is None else check_tolerance(tol)
-    _check_limits(limits, tolerance)
+    _check_limits(limits, not isinstance(problem, InitialProblem) or tolerance is not None)
     check_asked(of, tol)
     if isinstance(problem, InitialProblem):
         extra = [name for name, value in {"guess": guess, "solver": solver}.items() if value is not None]
@@ -192,9 +196,10 @@ def solve(
         solver = newton if isinstance(problem, BoundaryProblem) else ipopt
     if tolerance is None:
         graph = _graph(problem, method, intervals, mesh, one_by_one if starts == 1 else by_rows)
-        if isinstance(graph, ControlTranscription):
-            return best_of(starts, graph.problem, guess, partial(graph.solve, solver=solver, verbose=verbose))
-        return graph.solve(guess=guess, solver=solver, verbose=verbose)
+        with until(math.inf if limits is None else time.perf_counter() + limits.seconds):
+            if isinstance(graph, ControlTranscription):
+                return best_of(starts, graph.problem, guess, partial(graph.solve, solver=solver, verbose=verbose))
+            return graph.solve(guess=guess, solver=solver, verbose=verbose)
     limits = limits or Limits()
     path: Trajectory | PhasesTrajectory
     if not isinstance(problem, BoundaryProblem):
@@ -231,10 +236,10 @@ def _given(method: Galerkin | None) -> Galerkin:
     return method
 
 
-def _check_limits(limits: Limits | None, tol: float | None) -> None:
+def _check_limits(limits: Limits | None, limited: bool) -> None:
     if limits is not None and not isinstance(limits, Limits):
         raise TypeError(f"limits must be Limits, such as Limits(intervals=500), got {limits!r}")
-    if limits is not None and tol is None:
+    if limits is not None and not limited:
         raise ValueError("limits stop a refinement: give tol with them")
 
 
@@ -324,7 +329,7 @@ def transcribe(
     """
     check_kind(problem, BoundaryProblem, ControlProblem, Phases)
     check_method(method, optional=True)
-    _check_limits(limits, tol)
+    _check_limits(limits, tol is not None)
     check_asked(of, tol)
     tolerance = None if tol is None else check_tolerance(tol)
     if tolerance is None:

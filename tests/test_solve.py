@@ -44,9 +44,12 @@ def test_unknown_names_are_refused(name):
         cg.Galerkin(2, **{name: 1})
 
 
-def test_limits_without_a_tolerance_are_refused():
-    with pytest.raises(ValueError, match="limits stop a refinement: give tol with them"):
-        cg.solve(BY_NAME["oscillator 1.0"].problem, cg.Galerkin(4), 8, limits=cg.Limits())
+@pytest.mark.parametrize("problem", [BY_NAME["oscillator 1.0"].problem, double_integrator(control_bounds=(-5, 5))], ids=repr)
+def test_seconds_limit_a_fixed_discretization_too(problem):
+    late, ample = cg.Limits(seconds=1e-9), cg.Limits()
+    with pytest.raises(cg.ConvergenceError, match="the time was up|WallTime"):
+        cg.solve(problem, cg.Galerkin(4), 8, limits=late)
+    cg.solve(problem, cg.Galerkin(4), 8, limits=ample)
 
 
 def test_neither_method_nor_tolerance_is_refused():

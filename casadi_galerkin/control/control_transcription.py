@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -211,8 +211,10 @@ class ControlTranscription:
 
         def attempt(by: Solver, at: Guess | None, longer: float = 1.0) -> Any:
             begun = self.starting_point(problem, calculus, at, longer)
-            by = ipopt if by.name == sqp.name and not begun.duals else by  # it is for warm starts
-            return self._solved(by, problem, calculus, begun, verbose, began)
+            if by.name != sqp.name or begun.duals:
+                return self._solved(by, problem, calculus, begun, verbose, began)
+            found = self._solved(ipopt, problem, calculus, begun, verbose, began)
+            return replace(found, solver=f"{found.solver}, as sqp begins from an answer of the same layout")
 
         attempts, other = [("from the guess", partial(attempt, solver, guess))], solver
         if solver.name != ipopt.name:  # others stall more easily

@@ -530,8 +530,6 @@ def test_bad_arguments_are_named():
         cg.solve(double_integrator(), tol=2)
     with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got 0"):
         cg.solve(double_integrator(), tol=0, of=lambda path: path.cost)
-    with pytest.raises(ValueError, match="limits stop a refinement"):
-        cg.solve(double_integrator(), cg.Galerkin(3), intervals=4, limits=cg.Limits())
     with pytest.raises(TypeError, match="or give tol instead"):
         cg.solve(double_integrator(), intervals=4)
 
