@@ -44,10 +44,12 @@ def test_unknown_names_are_refused(name):
         cg.Galerkin(2, **{name: 1})
 
 
-@pytest.mark.parametrize("problem", [BY_NAME["oscillator 1.0"].problem, double_integrator(control_bounds=(-5, 5))], ids=repr)
+@pytest.mark.parametrize(
+    "problem", [BY_NAME["oscillator 1.0"].problem, double_integrator(control_bounds=(-5, 5))], ids=["path", "control"]
+)
 def test_seconds_limit_a_fixed_discretization_too(problem):
     late, ample = cg.Limits(seconds=1e-9), cg.Limits()
-    with pytest.raises(cg.ConvergenceError, match="the time was up|WallTime"):
+    with pytest.raises(cg.ConvergenceError, match=r"the time was up|WallTime"):
         cg.solve(problem, cg.Galerkin(4), 8, limits=late)
     cg.solve(problem, cg.Galerkin(4), 8, limits=ample)
 
