@@ -357,12 +357,11 @@ class ControlTranscription:
         report = self.graph.report(*numbers.pack(values))
         if not np.isfinite(report.cost + np.sum(report.actions) + np.sum(report.equations)):
             refuse_not_finite(phases, self.graph, *numbers.pack(values))
-        largest, motions = report.sizes, [chain.motions for chain in numbers.chains]
+        largest = report.sizes
         if guess is not None and not near:  # no earlier answer: it may be noisy
-            straight = self.graph.report(*numbers.pack(values_at(None, False, 1.0))).sizes
-            line = straight.copy()
-            for kinds in motions:
-                line[kinds] = _significant(straight[kinds], LEAST_TERMS)
+            line = self.graph.report(*numbers.pack(values_at(None, False, 1.0))).sizes
+            for chain in numbers.chains:
+                line[chain.motions] = _significant(line[chain.motions], LEAST_TERMS)
             limited = (line > TOLERANCE) & np.isfinite(line)
             largest = np.where(limited, np.fmin(LARGEST_TERMS_RATIO * line, largest), largest)
         scaled = largest.copy()

@@ -21,7 +21,7 @@ from casadi_galerkin.problems.breakpoint_events import is_limited, positions_and
 from casadi_galerkin.problems.callables import Traceable, arguments, of_zeros, trace
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import entries_of, rows_that_depend
-from casadi_galerkin.problems.problem import with_values
+from casadi_galerkin.problems.problem import ENDS, with_values
 
 NOTHING = ca.Function("joins", [], [ca.SX(0, 1)])
 Link: TypeAlias = Traceable | tuple[Traceable, Limit, Limit] | None
@@ -256,11 +256,10 @@ class Phases:
         given = {name: value for name, value in changes.items() if value is not None}
         if not given and (begin, end) == self.t_span:
             return self
-        if "parameters" in given:
-            raise ValueError("parameters are those of single phases: state phases with others")
         first, *inner, last = self.phases
-        ends = {name: value for name, value in given.items() if name.startswith("end")}
-        starts = {name: value for name, value in given.items() if name not in ends}
+        starts, ends = ({name: given.pop(name) for name in (end, f"{end}_velocity") if name in given} for end in ENDS)
+        if given:
+            raise ValueError(f"{' and '.join(given)} are those of single phases: state phases with others")
         first, last = first.varied(starts, (begin, first.t_span[1])), last.varied(ends, (last.t_span[0], end))
         return self.found([first, *inner, last])
 

@@ -144,6 +144,13 @@ def test_each_phase_has_intervals_of_its_own():
         cg.solve(phases, cg.Galerkin(3), [1])
 
 
+def test_other_ends_are_those_of_the_first_and_the_last_phase():
+    program = cg.transcribe(bouncing(), cg.Galerkin(3), 4)
+    assert program.solve(start=[2.0], end=[2.0]).cost == pytest.approx(4 * program.solve().cost, rel=1e-9)
+    with pytest.raises(ValueError, match="control_bounds are those of single phases: state phases with others"):
+        program.solve(control_bounds=(-1, 1))
+
+
 def test_a_summary_has_every_phase():
     text = repr(cg.solve(bouncing(), cg.Galerkin(3), 4))
     assert "PhasesTrajectory of 2 phases on [0, 2], 4 intervals" in text
