@@ -33,7 +33,6 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 Graph = TypeVar("Graph", bound="BoundaryGraph")
 
-ARCH_ITERATIONS = 20  # most iterations for the height of an arch
 REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be computed
 
 
@@ -214,7 +213,7 @@ class BoundaryGraph:
             starts = np.eye(len(sizes)) if np.any(np.abs(along) > accepted) else ()
             for start in (*starts, *(-start for start in starts)):
                 heights = np.multiply.outer(1 / numbers, start)
-                for _ in range(ARCH_ITERATIONS):
+                for _ in range(int(-np.log2(EPS))):  # as many halvings as a double has digits
                     here = values + np.tensordot(heights, shapes, 2)
                     residual, slopes = missed(here)
                     if np.all(np.abs(residual) <= accepted):

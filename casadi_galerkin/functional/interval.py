@@ -46,8 +46,8 @@ SMALLEST_STEP = 0.01 * EPS
 # The last step that Newton's method takes is at most this part of the largest component.  QR spreads the rounding of
 # this step, EPS times its size, to all components, also to those at rest.
 LARGEST_LAST_STEP = SMALLEST_STEP ** (1 / 3)
-# relative Newton step after which only rounding can keep the next one from being far smaller
-NEARLY_CONVERGED_SLOPES = 1e-8
+# relative Newton step after which only rounding can keep the next one, its square, from being far smaller
+NEARLY_CONVERGED_SLOPES = EPS**0.5
 # Taylor terms of the velocity that predict the next interval; with more, large steps found other solutions
 TAYLOR_TERMS = 2
 
