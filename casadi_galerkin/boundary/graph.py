@@ -183,7 +183,7 @@ class BoundaryGraph:
         calculus = self._calculus if same else DiscreteCalculus(self.method, mesh)
         values = guess_values(guess, calculus, self.problem.dimension).T
         values = meeting_ends(values, calculus.node_parts, self.problem.given_positions)
-        if self.numbering.integrals and self.problem.constraint is None:
+        if self.numbering.integrals and self.problem.constraint is None and len(mesh) == len(self.mesh):
             values = self._meeting_integrals(values, calculus.node_parts, mesh)
         return PiecewisePolynomial(mesh, self.method.element.nodes, values.T)
 

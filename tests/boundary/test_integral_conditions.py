@@ -255,6 +255,12 @@ def test_the_mode_of_no_guess_is_the_first():
     assert -path.integral_multipliers[0] == pytest.approx(mathieu_b(1, 1.0), abs=EIGENVALUE)
 
 
+def test_a_guess_of_many_waves_is_taken_to_a_mesh_of_its_own():
+    path = cg.solve(mathieu(0.0), tol=1e-8, guess=mode(40, np.pi))
+    assert -path.integral_multipliers[0] == pytest.approx(1600, rel=1e-8)
+    assert path.morse_index == 39
+
+
 def test_a_path_of_negative_masses_is_said_to_be_no_minimum():
     """The same arc, with the area as L: the multiplier, and with it the mass, is negative."""
     largest = held(arc, [1.3], lagrangian=area)
