@@ -427,7 +427,7 @@ class ControlTrajectory(Trajectory):
             [
                 f"ControlTrajectory of {size}{controls} on {spanned(self.t)}, {counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
-                *(optimum if n or self.problem.costs else []),
+                *(self._saddle() + optimum if n or self.problem.costs else []),
                 *self._asked(),
                 *self._accuracy(),
                 *self._between_points(),
@@ -467,6 +467,14 @@ class ControlTrajectory(Trajectory):
         if not self._not_optimal():
             return super()._kind()
         return "not yet optimal" if self.cost_error is None else "optimal but for the error below"
+
+    def _saddle(self) -> list[str]:
+        """A line on directions in which the cost decreases, and what to do about it."""
+        if self._not_optimal() or not self.morse_index:
+            return []
+        directions = counted(self.morse_index, "direction")
+        tried = "" if "starts" in self.solver else ", several `starts`"
+        return [f"  SADDLE      no minimum: the cost decreases in {directions}; try a guess beside it{tried}"]
 
     def _undetermined(self) -> list[str]:
         """Lines on large remaining solver errors in the cost, or in a path on which the cost hardly depends."""

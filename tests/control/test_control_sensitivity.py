@@ -177,6 +177,9 @@ def test_a_saddle_is_said():
     )
     path = cg.solve(above, METHOD, INTERVALS)
     assert path.morse_index > 0
+    first = repr(path).splitlines()[2]
+    assert first.startswith("  SADDLE      no minimum: the cost decreases in ")
+    assert first.endswith("; try a guess beside it, several `starts`")
     with pytest.raises(ValueError, match="sensitivity takes minima, got a saddle, from which the cost decreases in"):
         cg.sensitivity(path)
 
