@@ -59,8 +59,8 @@ def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
     """Number of a path -> number of its neighbor, for those that lie on another branch than their neighbor.
 
     The paths are of boundary problems.  The neighbor of a path is the nearest one that comes before it.  On another
-    branch the Morse index is another one, or the path is further from that of its neighbor, bent to meet the same
-    ends, than the larger of both.
+    branch the Morse index is another one, or both paths are further apart than the larger one's size, where that of the
+    neighbor is bent to meet the same ends.
     """
     if not paths:
         return {}
@@ -74,9 +74,8 @@ def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
         indices.append(SecondVariation(graph, problems[k], path.polynomial, path.integral_multipliers).negative())
         if k > 0:
             i = nearest(values[k], values[:k], spread)
-            bent = graph.guess_on_mesh(paths[numbers[i]], path.t)
-            values_of = path.polynomial.values, bent.values
-            away = min(relative_distance(*values_of), relative_distance(*values_of[::-1]))
+            own, bent = path.polynomial.values, graph.guess_on_mesh(paths[numbers[i]], path.t).values
+            away = min(relative_distance(own, bent), relative_distance(bent, own))  # either may be nearly zero
             if indices[k] != indices[i] or away > 1:
                 on_other_branch[number] = numbers[i]
     return on_other_branch

@@ -161,8 +161,8 @@ class Sweep(Table, Pictured):
         """Number of the variation -> number of its neighbor, for those that seem on another branch than their neighbor.
 
         A neighbor is the nearest variation that was solved and comes before.  Two variations seem on different branches
-        where their Morse indices differ, or where one is further than its size from the other one, bent to meet the
-        same ends.
+        where their Morse indices differ, or where they are further apart, one bent to meet the other's ends, than the
+        larger one's size.
 
         Raises
         ------
