@@ -204,16 +204,12 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
     try:
         shot = shooting.shoot(start, velocity)
     except ConvergenceError as error:
-        remedy = "Give a guess with a better start, or solve it globally, with `solve`"
-        reason = f"shooting failed: a step of the first path failed: {error}. {remedy}"
-        raise ConvergenceError(reason, error.path, error.residual, error.iterations) from error
+        words = f"shooting failed: a step of the first path failed: {error}. Give a guess with a better start"
+        raise ConvergenceError(words, error.path, error.residual, error.iterations) from error
     for iteration in range(MOST_STEPS):
-        if np.all(np.abs(shot.miss) <= shot.floor):
-            met = _met(shot, iteration)
-            if _singular(_scaled(shot)[0]):
-                _refuse_conjugate(shot, iteration)
-            return met, iteration
-        trial = _line_search(shooting, shot, start, _direction(shot, shot.miss, iteration))
+        trial = None
+        if np.any(np.abs(shot.miss) > shot.floor):
+            trial = _line_search(shooting, shot, start, _direction(shot, shot.miss, iteration))
         if trial is None:
             return _met(shot, iteration), iteration
         shot, start = trial
@@ -278,34 +274,23 @@ def _missed(shot: Shot) -> tuple[float, float]:
 
 def _met(shot: Shot, iteration: int) -> Shot:
     """Return the last shot of Newton's method if it meets the end up to roundoff, in half of the digits; or raise."""
-    missed, moved = _missed(shot)
-    if missed <= MISS and shot.residual <= ACCEPTED:
-        values = shot.path.values
-        if shot.stepper.free_duration and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
-            raise _failure("the path has shrunk to a point, and its duration to zero", shot, iteration)
-        return shot
-    reason = f"the end is missed by {missed:.1e} of the path's size, "
-    rounded = missed <= MISS or moved > MISS
-    if not rounded:
-        reason += "and no change of the start comes nearer: Newton's method has not converged"
-    else:
-        reason += f"the rounding of the start alone moves it by {moved:.1e}"
-    raise _failure(reason, shot, iteration, rounded)
+    missed, _ = _missed(shot)
+    if missed > MISS or shot.residual > ACCEPTED:
+        raise _failure(f"the end is missed by {missed:.1e} of the path's size", shot, iteration)
+    if np.all(np.abs(shot.miss) <= shot.floor) and _singular(_scaled(shot)[0]):
+        _refuse_conjugate(shot, iteration)
+    values = shot.path.values
+    if shot.stepper.free_duration and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
+        raise _failure("the path has shrunk to a point, and its duration to zero", shot, iteration)
+    return shot
 
 
-def _failure(reason: str, shot: Shot, iteration: int, rounded: bool = True) -> ConvergenceError:
-    """The error of a last shot, and what to do: where the start is `rounded` too coarsely, shooting cannot meet it."""
-    growth = float(np.max(np.abs(shot.growth)))
-    energy = "; there may be no path of this energy" if shot.stepper.free_duration else ""
-    remedy = "Give a guess with a better start, or solve it globally, with `solve`"
-    if rounded:
-        remedy = (
-            f"A change of the start grows up to {growth:.1e} times along the path, and a double keeps 1 part in "
-            f"{1 / EPS:.1e}. Solve it globally, with `solve`"
-        )
-    return ConvergenceError(
-        f"shooting failed: {reason} (iteration {iteration}). {remedy}{energy}",
-        Path(shot.path),
-        shot.residual,
-        iteration,
+def _failure(reason: str, shot: Shot, iteration: int) -> ConvergenceError:
+    """The error of a last shot, with what the rounding of the start does, and what to do."""
+    growth, moved = float(np.max(np.abs(shot.growth))), _missed(shot)[1]
+    words = (
+        f"shooting failed: {reason} (iteration {iteration}). A change of the start grows up to {growth:.1e} times "
+        f"along the path, and its rounding alone moves the end by {moved:.1e} of its size. Give a guess with a better "
+        "start, or solve it globally, with `solve`"
     )
+    return ConvergenceError(words, Path(shot.path), shot.residual, iteration)

@@ -137,7 +137,7 @@ def test_a_miss_above_its_roundoff_floor_is_refused():
     shot = shooting.shoot(np.array([path.x[0, 0], path.momentum[0, 0] + 1e-10]), np.ones(1))
     assert np.max(np.abs(shot.miss)) < MISS
     with pytest.raises(
-        cg.ConvergenceError, match=r"the end is missed by .* of the path's size, the rounding"
+        cg.ConvergenceError, match=r"the end is missed by .* of the path's size .* its rounding alone"
     ) as caught:
         _met(shot, 3)
     assert caught.value.residual == shot.residual > 1e4
@@ -301,9 +301,7 @@ def test_the_estimate_counts_by_how_much_the_end_is_missed(duration):
 def test_a_shot_that_does_not_converge_is_not_blamed_on_rounding():
     """No path joins these ends."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 20 * ca.exp(x[0]), (0, 1), [0.0], [0.0])
-    with pytest.raises(
-        cg.ConvergenceError, match=r"Newton's method has not converged .* guess with a better"
-    ) as caught:
+    with pytest.raises(cg.ConvergenceError, match=r"the end is missed by .* guess with a better") as caught:
         cg.shoot(problem, cg.Galerkin(4), 10)
     assert "double" not in str(caught.value)
 
