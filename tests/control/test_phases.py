@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 import casadi_galerkin as cg
 
@@ -276,3 +277,22 @@ def test_a_tolerance_is_met_by_every_phase():
     for one, other in zip(path.phases, exact.phases, strict=True):
         found, known = (phase(phase.t[0] + parts * np.ptp(phase.t)) for phase in (one, other))
         assert np.max(np.abs(found - known)) <= 1e-6 * np.max(np.abs(known))
+
+
+def test_a_phase_may_begin_where_an_earlier_one_ends():
+    """One state from which two ends are reached: the least effort of both, by the closed form."""
+
+    def effort(state, end):
+        way, speed = end - state[0], state[1]
+        return 6 * way**2 - 6 * way * speed + 2 * speed**2
+
+    ways = [moving(1, 2, end=1.0, end_velocity=0.0), moving(2, 3, end=-0.5, end_velocity=0.0)]
+    phases = cg.Phases(
+        [moving(0, 1, 0.0, start_velocity=0.0), *ways],
+        links=[None, (lambda x, v, y, w: y, -np.inf, np.inf)],
+        conditions=(lambda one, two, three: [three.x0 - one.x1, three.v0 - one.v1], 0.0, 0.0),
+    )
+    path = cg.solve(phases, cg.Galerkin(3), 3)
+    least = minimize(lambda z: 6 * z[0] ** 2 - 6 * z[0] * z[1] + 2 * z[1] ** 2 + effort(z, 1) + effort(z, -0.5), [0, 0])
+    assert path.cost == pytest.approx(least.fun, rel=1e-8)
+    assert path.phases[2].x[0, 0] == pytest.approx(path.phases[0].x[0, -1], abs=SOLVED)
