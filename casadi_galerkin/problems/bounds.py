@@ -69,5 +69,7 @@ def bound_excess(values: np.ndarray, low: ArrayLike, high: ArrayLike) -> np.ndar
 
 def keeps_to(value: float, low: float, high: float, size: float = 0.0) -> bool:
     """Whether a value keeps to its bounds, up to rounding of the largest of these, of `size` or of the value."""
+    if low <= value <= high:
+        return True
     rounded = BOUND_ROUNDING * max(abs(a) for a in (value, low, high, size) if np.isfinite(a))
-    return bool(low - rounded <= value <= high + rounded)
+    return low - rounded <= value <= high + rounded

@@ -45,12 +45,10 @@ def trace(
         naming what came and what was expected
     """
     taken: Mapping[str, int] = {key: size for key, size in sizes.items() if size}
-    few = {key: size for key, size in taken.items() if key not in optional}
-    if isinstance(function, ca.Function):
-        short = function.n_in() <= len(few)
-    else:
-        short = not callable(function) or _binds(function, few) or not _binds(function, taken)
-    taken = few if short else taken
+    if optional:
+        few = {key: size for key, size in taken.items() if key not in optional}
+        long = function.n_in() > len(few) if isinstance(function, ca.Function) else not _binds(function, few)
+        taken = taken if long and _binds(function, taken) else few
     shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in taken.items())
     if isinstance(function, ca.Function):
         taken = sizes if function.n_in() == len(sizes) else taken  # as of a problem whose fields are replaced
@@ -130,7 +128,7 @@ def _refuse_free(name: str, function: ca.Function, shapes: str) -> None:
         raise ValueError(f"{name} depends on {', '.join(function.get_free())} besides its arguments {shapes}")
 
 
-def _binds(function: Traceable, arguments: Collection[str]) -> bool:
+def _binds(function: Any, arguments: Collection[str]) -> bool:
     """Whether a callable takes so many arguments, as far as its signature is known."""
     try:
         inspect.signature(function).bind(*arguments)
@@ -148,7 +146,7 @@ def _check_signature(name: str, function: Traceable, expected: list[str]) -> Non
     except (TypeError, ValueError):
         return
     swapped = taken != expected and sorted(taken) == sorted(expected)
-    if _binds(function, expected) and not swapped:
+    if taken == expected or (_binds(function, expected) and not swapped):
         return
     hint = _about_p(expected) if len(taken) > len(expected) or "p" in expected else ""
     if "u" in taken and "u" not in expected:

@@ -135,18 +135,18 @@ def _impulses(problem: Any) -> Iterator[str]:
 def _given_outside(problem: Any) -> Iterator[str]:
     """A given value, or a guess of a free one, lies outside its bounds by more than rounding."""
     times = section_times(problem)
-    parts = [f" of the phase from {begin} to {end}" for begin, end in pairwise(times)] if len(times) > 2 else [""]
+    lasting = [end - begin for begin, end in pairwise(times)]
     stated = [(name, getattr(problem, name), "position_bounds") for name in ENDS]
     stated += [(name, getattr(problem, name), "velocity_bounds") for name in END_MOTIONS[:2]]
     stated += [("start", problem.start, "start_bounds"), ("parameters", problem.parameters, "parameter_bounds")]
-    named = [(f"{name}[{i}]", i, value, kind) for name, values, kind in stated for i, value in enumerate(values or ())]
-    named += [(f"the duration{part}", i, times[i + 1] - times[i], "duration_bounds") for i, part in enumerate(parts)]
-    for name, i, value, kind in [*named, ("t_span[0]", 0, times[0], "initial_time_bounds")]:
-        sides = getattr(problem, kind)
-        if value is not None and sides is not None:
-            low, high = (side[i] for side in sides)
-            if not keeps_to(value, low, high, np.max(np.abs(times)) if "duration" in name else 0.0):
-                yield f"{name} = {value} lies outside its {kind} [{low}, {high}]"
+    stated += [("t_span", times[:1], "initial_time_bounds"), ("the duration", lasting, "duration_bounds")]
+    for name, values, kind in stated:
+        size = max(map(abs, times)) if name == "the duration" else 0.0
+        for i, (value, low, high) in enumerate(zip(values or (), *(getattr(problem, kind) or ((), ())), strict=False)):
+            if value is not None and not keeps_to(value, low, high, size):
+                place = f"[{i}]" if name != "the duration" else f" of the phase from {times[i]} to {times[i + 1]}"
+                place = "" if len(lasting) == 1 and name == "the duration" else place
+                yield f"{name}{place} = {value} lies outside its {kind} [{low}, {high}]"
     (low, high), (least, most) = np.array(problem.start_bounds), np.array(problem.position_bounds)
     for i in np.flatnonzero((low > most) | (high < least)).tolist():
         yield f"start_bounds[{i}] = ({low[i]}, {high[i]}) lie outside the position_bounds of x[{i}]"

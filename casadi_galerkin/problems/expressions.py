@@ -24,7 +24,10 @@ def entries_of(function: ca.Function, argument: int) -> set[int]:
 
 def pattern(function: ca.Function, argument: int) -> np.ndarray:
     """Which values of a Function depend on which entries of an argument; (values, entries)."""
-    return np.array(ca.DM(function.sparsity_jac(argument, 0), 1.0), dtype=bool)
+    sparsity = function.sparsity_jac(argument, 0)
+    depend = np.zeros(sparsity.shape, dtype=bool)
+    depend[sparsity.get_triplet()] = True
+    return depend
 
 
 def rows_that_depend(function: ca.Function | None, argument: int, chosen: ArrayLike) -> np.ndarray:
