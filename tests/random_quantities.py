@@ -56,3 +56,38 @@ QUANTITIES = {
     "energy": lambda path: path.energy[0],
     "time of a crossing": _crossing,
 }
+
+
+def pushed_swing(seed):
+    """A pendulum that is pushed: without bounds, with bounds, in its own time, as fast as it can, to a free end."""
+    random = np.random.default_rng(seed)
+    a, b, c = random.uniform(0.3, 2, 3)
+    rest = {"end": [1.0], "end_velocity": [0.0]}
+    kinds = [
+        {**rest, "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + b * x[0] ** 2},
+        {**rest, "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + b * x[0] ** 2, "control_bounds": (-3.5, 3.0)},
+        {**rest, "running_cost": lambda t, x, v, u: 1.0 + c * u[0] ** 2 / 2, "duration_bounds": (0.2, 8.0)},
+        {**rest, "running_cost": lambda t, x, v, u: 1.0, "duration_bounds": (0.2, 8.0), "control_bounds": (-2.5, 2.0)},
+        {
+            "end": [None],
+            "end_velocity": [None],
+            "running_cost": lambda t, x, v, u: u[0] ** 2 / 2,
+            "terminal_cost": lambda t, x, v: 5 * b * (x[0] - 1) ** 2 + c * v[0] ** 2,
+        },
+    ]
+    return cg.ControlProblem(
+        lambda t, x, v: v[0] ** 2 / 2,
+        (0, 1.5),
+        [0.1],
+        start_velocity=[0.0],
+        force=lambda t, x, v, u: u - a * ca.sin(x),
+        controls=1,
+        **kinds[seed % len(kinds)],
+    )
+
+
+OF_OPTIMA = {
+    "x at a time": lambda path: path(0.47 * path.t[-1]),
+    "velocity at a time": lambda path: path(0.3 * path.t[-1], 1),
+    "cost": lambda path: path.cost,
+}
