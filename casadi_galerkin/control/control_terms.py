@@ -140,7 +140,8 @@ class Places:
     def evaluate(self, function: ca.Function, *given: ca.MX) -> Any:
         """Outputs of a pointwise Function for matrices of its inputs, with a column for every place."""
         if not function.nnz_out():  # such as second derivatives of linear rows
-            return ca.MX(function.size1_out(0), self.count)
+            zeros = [ca.MX(function.size1_out(i), self.count) for i in range(function.n_out())]
+            return zeros if len(zeros) > 1 else zeros[0]
         return self.mapping(function, self.count, ())(*given)
 
 

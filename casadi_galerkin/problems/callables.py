@@ -37,7 +37,7 @@ def trace(
     function : callable; a casadi Function is checked like any other, and returned unchanged if it has this layout
     sizes : length of every argument, in order; the callable does not take those of length zero, as without controls
     rows : expected length of the result, which may be a list; "any" for a vector of any length, or "scalar"
-    optional : arguments that the callable may leave out, all of them
+    optional : arguments that are left out where the callable names none of them
 
     Raises
     ------
@@ -45,10 +45,10 @@ def trace(
         naming what came and what was expected
     """
     taken: Mapping[str, int] = {key: size for key, size in sizes.items() if size}
-    if optional:
+    if optional and callable(function):
         few = {key: size for key, size in taken.items() if key not in optional}
-        long = function.n_in() > len(few) if isinstance(function, ca.Function) else not _binds(function, few)
-        taken = taken if long and _binds(function, taken) else few
+        named = not set(_names(function)).isdisjoint(optional)
+        taken = taken if (function.n_in() > len(few) if isinstance(function, ca.Function) else named) else few
     shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in taken.items())
     if isinstance(function, ca.Function):
         taken = sizes if function.n_in() == len(sizes) else taken  # as of a problem whose fields are replaced
@@ -128,26 +128,27 @@ def _refuse_free(name: str, function: ca.Function, shapes: str) -> None:
         raise ValueError(f"{name} depends on {', '.join(function.get_free())} besides its arguments {shapes}")
 
 
-def _binds(function: Any, arguments: Collection[str]) -> bool:
-    """Whether a callable takes so many arguments, as far as its signature is known."""
+def _names(function: Any) -> list[str]:
+    """Names of the arguments of a callable, as far as its signature is known."""
     try:
-        inspect.signature(function).bind(*arguments)
-    except TypeError:
-        return False
-    except ValueError:  # it has no signature
-        return True
-    return True
+        return list(inspect.signature(function).parameters)
+    except (TypeError, ValueError):
+        return []
 
 
 def _check_signature(name: str, function: Traceable, expected: list[str]) -> None:
     """Refuse a callable of other arguments, or of these in another order, as far as its signature is known."""
-    try:
-        taken = list(inspect.signature(function).parameters)
-    except (TypeError, ValueError):
-        return
+    taken = _names(function)
     swapped = taken != expected and sorted(taken) == sorted(expected)
-    if taken == expected or (_binds(function, expected) and not swapped):
-        return
+    if not swapped:
+        try:
+            inspect.signature(function).bind(*expected)
+        except ValueError:  # it has no signature
+            return
+        except TypeError:
+            pass
+        else:
+            return
     hint = _about_p(expected) if len(taken) > len(expected) or "p" in expected else ""
     if "u" in taken and "u" not in expected:
         hint = ". Controls u are chosen by a ControlProblem, which is told their number by `controls`"

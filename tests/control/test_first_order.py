@@ -145,6 +145,14 @@ def test_an_answer_without_controls_is_a_casadi_function_of_its_ends():
     np.testing.assert_allclose(answer(start=[0.0], end=[0.1])["x"], path.x, rtol=0, atol=1e-9)
 
 
+def test_rates_of_zero_keep_a_constant_and_do_not_meet_a_change():
+    still = {"rates": lambda t, x: 0 * x, "t_span": (0, 1)}
+    assert cg.solve(cg.ControlProblem(**still, start=2.0), cg.Galerkin(2), 2).x[0, -1] == 2.0
+    changed = cg.ControlProblem(**still, components=1, end_conditions=(lambda x0, x1: x1 - x0 - 1, 0, 0))
+    with pytest.raises(cg.ConvergenceError, match="IPOPT stopped with"):
+        cg.solve(changed, cg.Galerkin(2), 2)
+
+
 def test_a_root_that_violates_a_bound_is_not_taken_for_an_answer():
     falls = cg.ControlProblem(rates=lambda t, x: -x, t_span=(0, 1), start=1.0, position_bounds=(0.5, 2))
     with pytest.raises(cg.ConvergenceError, match="IPOPT stopped with 'Infeasible"):

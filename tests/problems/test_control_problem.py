@@ -475,7 +475,12 @@ def test_callables_of_first_order_leave_out_velocities_or_take_them():
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
 
 
-@pytest.mark.parametrize("rates", [lambda t: 1, lambda t, x, v, u, p: u])
+def test_a_control_that_is_not_told_of_is_asked_for():
+    with pytest.raises(TypeError, match=r"rates is called as rates\(t, x\), got one of \(t, x, u\). Controls u are"):
+        cg.ControlProblem(rates=lambda t, x, u: u, t_span=(0, 1), start=1.0)
+
+
+@pytest.mark.parametrize("rates", [lambda t: 1, lambda t, x, w, u, p: u])
 def test_callables_of_first_order_of_other_arguments_are_refused(rates):
     with pytest.raises(TypeError, match=r"rates is called as rates\(t, x, u\), got one of \(t"):
         cg.ControlProblem(rates=rates, t_span=(0, 1), start=1.0, controls=1)
