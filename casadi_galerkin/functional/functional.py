@@ -108,11 +108,6 @@ class Functional:
         further = (*self._parameters, *self._given)
         return self._embedded.symbols | {symbol.name(): symbol for symbol in further}
 
-    @property
-    def inputs(self) -> list[ca.MX]:
-        """The symbols that all Functions take, in order."""
-        return list(self.symbols.values())
-
     def parameters_at(self, unknowns: np.ndarray, data: Data) -> Data:
         """The parameters of L, if there are some, with the multipliers of integrals."""
         own, multipliers = data[3 : 3 + len(self._parameters)], unknowns[self.numbering.everywhere]

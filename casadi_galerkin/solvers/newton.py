@@ -27,7 +27,7 @@ from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearizatio
 
 NEWTON = "Newton"  # its report
 QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it needs no line search
-CONTRACTION = 0.1  # a full step is taken if the next one is as much shorter; with 0.25 long ones led to other paths
+CONTRACTION = 0.25  # a full step is taken if the next one is as much shorter; with 0.1 half of all solves search lines
 SMALLEST_DAMPING = EPS**0.5
 POLISHING = 20  # most iterations from where another search stopped; with more it wanders, 4 times as long
 SEARCH_ITERATIONS = 50  # most of other searches; with 200, free steps led to 180 paths for 165, in twice the time

@@ -106,39 +106,37 @@ class Stationarity:
         """(ξ, data) -> outputs of `LinearSolver`'s Newton step, with ∇²S before the measures."""
 
         def parts() -> Parts:
-            derivatives, linear = (
-                self.functional.function("derivatives"),
-                self.linear_solver.solving("newton_step", method),
-            )
-            matrix, gradient, _ = derivatives.call(self.functional.inputs)
-            *outputs, measures = zip(linear.name_out(), linear.call([matrix, gradient, self.functional.u]), strict=True)
+            matrix, gradient, _ = self.functional.derivatives
+            *outputs, measures = self._solving("newton_step", method, matrix, gradient, self.functional.u)
             return {}, dict([*outputs, ("matrix", matrix), measures])
 
         return self.functional.keep(f"newton_step_{method}", parts)
 
     def simplified_step(self, method: str) -> ca.Function:
-        """(ξ, data, ∇²S, step, sizes, damping) -> outputs of `LinearSolver.simplified_step`."""
+        """(ξ, data, ∇²S, step, sizes, damping) -> outputs of `LinearSolver`'s simplified step."""
 
         def parts() -> Parts:
-            further, linear = self.linear_solver.symbols("matrix", "step", "sizes", "damping"), self.linear_solver
+            further = self.linear_solver.symbols("matrix", "step", "sizes", "damping")
             matrix, *others = further.values()
-            (gradient,) = self.functional.function("gradient").call(self.functional.inputs)
-            linear = self.linear_solver.solving("simplified_step", method)
-            return further, dict(zip(linear.name_out(), linear.call([matrix, gradient, *others]), strict=True))
+            return further, dict(self._solving("simplified_step", method, matrix, self.functional.gradient, *others))
 
         return self.functional.keep(f"simplified_step_{method}", parts)
+
+    def _solving(self, name: str, method: str, *inputs: ca.MX) -> list[tuple[str, ca.MX]]:
+        """Outputs of a Function of the linear solver by name."""
+        function = self.linear_solver.solving(name, method)
+        return list(zip(function.name_out(), function.call(inputs), strict=True))
 
     @property
     def verification(self) -> ca.Function:
         """(ξ, data, ∇²S, direction) -> action, momentum, and outputs of `LinearSolver.verification`."""
 
         def parts() -> Parts:
-            further, summary = self.linear_solver.symbols("matrix", "direction"), self.functional.function("summary")
-            action, momentum, gradient, terms = summary.call(self.functional.inputs)
-            matrix, direction = further.values()
-            found = self.linear_solver.verification.call([gradient, matrix, self.functional.u, terms, direction])
-            measures = dict(zip(self.linear_solver.verification.name_out(), found, strict=True))
-            return further, {"action": action, "momentum": momentum} | measures
+            further, found = self.linear_solver.symbols("matrix", "direction"), dict(self.functional.first_variation)
+            gradient, terms, (matrix, direction) = found.pop("gradient"), found.pop("terms"), further.values()
+            verify = self.linear_solver.verification
+            measures = verify.call([gradient, matrix, self.functional.u, terms, direction])
+            return further, found | dict(zip(verify.name_out(), measures, strict=True))
 
         return self.functional.keep("verification", parts)
 
