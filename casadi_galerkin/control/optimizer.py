@@ -40,7 +40,6 @@ PUSHES = [f"warm_start_{which}" for which in ("bound_push", "bound_frac", "slack
 # 6 of 15 meshes of a hanging chain hang, and so do controls other than zero that are bounded by 1e-5, where none are
 # needed.  With 5e-5 and `delta_c_stripe` 1e-2 no chain does, but a robot arm.
 PIVOT = 1e-6
-SQP_STEPS = 20  # at most, before IPOPT is asked: 136 solves of 17 problems from 1 % beside took 1 to 5, or all
 FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns only numbers
 # part of max(1, |b|) by which a solver relaxes bounds b; fatrop has no option for it
 BOUND_RELAXATION = {"ipopt": 0.0, "fatrop": 1e-8, "sqp": 0.0}
@@ -129,7 +128,6 @@ def with_sqp(graph: ControlGraph, verbose: int, given: Mapping[str, Any]) -> ca.
         "calc_lam_p": False,
         "tol_pr": ACCEPTABLE,
         "tol_du": ACCEPTABLE,
-        "max_iter": SQP_STEPS,
         **given,
     }
     return ca.nlpsol("optimizer", "sqpmethod", {"x": x, "p": p, "f": graph.cost, "g": graph.equations}, options)

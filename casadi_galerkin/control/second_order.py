@@ -35,12 +35,11 @@ from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.problems.phases import Phases
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory, RemainingError
+from casadi_galerkin.solution.control_trajectory import COST_CHANGE, ControlTrajectory, RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 # errors over Newton steps: where the cost is like a fourth power, a step leaves two thirds of the distance
 STEPS_LEFT = 3.0
-NO_DECREASE = 1e-6  # relative change of the cost that counts as none, as along a singular arc
 CONSTRAINT_PENALTY = np.sqrt(EPS)  # δ
 
 
@@ -101,7 +100,7 @@ class SecondOrder:
     def negative(self) -> int:
         """Number of independent directions in which the cost decreases to second order.
 
-        A relative decrease of at most `NO_DECREASE`, for changes as large as the path, is not counted.
+        A relative decrease of at most `COST_CHANGE`, for changes as large as the path, is not counted.
         """
         graph, at = self._graph(), self.optimum
         numbers = graph.numbering
@@ -114,7 +113,7 @@ class SecondOrder:
         hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, multipliers)[1]
         free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, sizes)).tolist()
         held = np.flatnonzero(_active(rows, at.bounds.equations, np.abs(rows))).tolist()
-        units, flat = (ca.diag(ca.DM(a)) for a in (_units(numbers, at, sizes), np.where(sizes > 0, NO_DECREASE, 0.0)))
+        units, flat = (ca.diag(ca.DM(a)) for a in (_units(numbers, at, sizes), np.where(sizes > 0, COST_CHANGE, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
         if largest == 0:

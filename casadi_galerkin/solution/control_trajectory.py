@@ -31,15 +31,14 @@ if TYPE_CHECKING:
 
 # size over that of the largest component below which a component may be an error of the solver only
 SMALL_COMPONENT = 1e-6
-# change of the cost, over its size, from which the summary tells of it; optima have less than 1e-9
-REPORTED_COST_CHANGE = 1e-6
+# change of the cost, over its size, up to which it counts as none, as along a singular arc; optima have less than 1e-9
+COST_CHANGE = 1e-6
 REMAINDER_FACTOR = 10.0  # size over the remaining solver error up to which a component counts as zero
 STEP = (
     "a callable steps, as x or v pass some value or at a given time while durations or parameters are free, and no "
     "derivative shows it: smooth the step, or state what is before and behind it as phases"
 )
 ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
-DOT_SIZE = 3.0  # size of the dots of quadrature points, which are many
 
 
 @dataclass(frozen=True)
@@ -382,7 +381,7 @@ class ControlTrajectory(Trajectory):
             raise ValueError("there are no controls to draw")
         lines = self.control.at(ALONG).reshape(len(self.control.values), -1, len(ALONG))
         points = self.control.times, self.control.values
-        drawn = plot_path(self._broken(lines), points, axes, labels, time, "u", DOT_SIZE)
+        drawn = plot_path(self._broken(lines), points, axes, labels, time, "u")
         draw_bounds(drawn, np.array(self.problem.control_bounds))
         return drawn
 
@@ -404,7 +403,7 @@ class ControlTrajectory(Trajectory):
             raise ValueError("there is no path constraint to draw")
         times, values = self.path_multipliers.times, self.path_constraints(self.path_multipliers.points)
         line, points = self._broken(self.path_constraints(ALONG)), (times, values.reshape(len(values), -1))
-        drawn = plot_path(line, points, axes, labels, time, "g", DOT_SIZE)
+        drawn = plot_path(line, points, axes, labels, time, "g")
         draw_bounds(drawn, np.array(self.problem.limits[1:]))
         draw_multipliers(drawn, times, self.path_multipliers.values)
         return drawn
@@ -460,7 +459,7 @@ class ControlTrajectory(Trajectory):
 
     def _not_optimal(self) -> bool:
         """Whether further Newton steps would change the cost by more than a solver should leave."""
-        return self.unseen_change > REPORTED_COST_CHANGE * self.cost_size
+        return self.unseen_change > COST_CHANGE * self.cost_size
 
     def _kind(self) -> str:
         """The kind of critical point, in words; none where the solver has stopped before one."""
@@ -514,7 +513,7 @@ class ControlTrajectory(Trajectory):
     def _stepping(self) -> list[str]:
         """A line on a step of a callable that the solver has not seen."""
         sizes, times = self.between_points.steps_in_place.sizes, self.between_points.steps_in_place.times
-        if not np.max(sizes) * np.ptp(self.t) > REPORTED_COST_CHANGE * self.cost_size:
+        if not np.max(sizes) * np.ptp(self.t) > COST_CHANGE * self.cost_size:
             return []
         return [f"  NOT RESOLVED: at t = {times[np.argmax(sizes)]:.6g} {STEP}"]
 

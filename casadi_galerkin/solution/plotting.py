@@ -92,12 +92,11 @@ def plot_path(
     labels: Sequence[str] | None,
     time: str,
     name: str = "x",
-    dot: float | None = None,
 ) -> Axes:
     """Draw components over time: lines through times (K,) and values (d, K), points as dots, if at most `MOST_DOTS`.
 
     Without labels components have the name with an index.  Several are named by the legend, where their colors suffice.
-    NaN breaks a line; `dot` is the size of a dot.
+    NaN breaks a line.
     """
     count = len(line[1])
     names = component_names(name, count, labels)
@@ -106,7 +105,7 @@ def plot_path(
         color = COLORS[i % len(COLORS)]
         axes.plot(line[0], values, color=color, label=names[i])
         if len(points[0]) <= MOST_DOTS:
-            axes.plot(points[0], dots, ".", color=color, markersize=dot)
+            axes.plot(points[0], dots, ".", color=color)
     alone, legend = count == 1, 1 < count <= len(COLORS)
     axes.set(xlabel=time, ylabel=names[0] if alone else "" if legend and labels is not None else name)
     if legend:  # beside the axes, where it hides no line
