@@ -60,7 +60,7 @@ def control_function(
         else:
             for side in (*stated[:2], *narrow[:2]):
                 side[entries.tolist()] = value
-    given = ca.vertcat(*inputs.values())
+    symbols = list(inputs.values())
     f, degree, intervals = numbers.whole(), method.degree, len(transcription.mesh) - 1
     chain = numbers.chains[0]
     inputs["guess"] = ca.MX.sym("guess", chain.dimension, intervals * degree + 1)
@@ -79,7 +79,8 @@ def control_function(
     verified = ca.logic_and(allowed, ca.logic_and(violation <= FEASIBLE, slope <= FEASIBLE))
     units = units_of(transcription.graph, known[0], sizes, path.cost_size)
     point = [found[name] for name in ("x", "lam_g", "lam_x")]
-    moved, cheaper = OptimalityConditions(transcription.graph, units).changes(point, [data, *narrow], given)
+    changes = OptimalityConditions(transcription.graph, units).changes(symbols, [data, *narrow])
+    moved, cheaper = changes(ca.vertcat(*symbols), *point)
     everything = ca.vertcat(point[0] + moved, data)
     outputs = {
         "x": ca.reshape(everything[f["x"].ravel().tolist()], chain.dimension, -1),

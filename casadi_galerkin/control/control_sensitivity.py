@@ -144,16 +144,40 @@ class OptimalityConditions:
         """Inputs -> what is missed, and f̄ - λ·g - μ·b."""
         return ca.Function("value", self.inputs, [self.missed, self.lagrangian])
 
-    def changes(self, point: list[ca.MX], given: list[ca.MX], data: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """Zeros with the first derivatives of ξ and of the cost at an optimum (ξ, λ, μ) by what is given.
+    def changes(self, data: list[ca.MX], given: list[ca.MX]) -> ca.Function:
+        """(data, ξ, λ, μ) -> zeros with the first derivatives of ξ and of the cost at an optimum by the data.
 
-        Where a bound hardly acts, derivatives by `data` are not finite.
+        Nothing is evaluated before a derivative is asked for.  Where a bound hardly acts, derivatives are not finite.
+
+        Parameters
+        ----------
+        data, given : symbols, and what is given in terms of them
         """
-        matrix, weak = self.step(*point, *given)
-        missed, lagrangian = self.value(*point, *given)
-        step = -ca.solve(ca.no_grad(matrix), missed, "qr", NO_CUTOFF)[: point[0].numel()]
-        infinite = weak * ca.sqrt(ca.sum1(data - ca.no_grad(data)) + 1 - weak)
-        return step - ca.no_grad(step) + infinite, lagrangian - ca.no_grad(lagrangian) + infinite
+        z, point = ca.MX.sym("data", sum(a.numel() for a in data)), [ca.MX.sym("at", *a.shape) for a in self.inputs[:3]]
+        parts = ca.vertsplit(z, np.cumsum([0, *(a.numel() for a in data)]).tolist())
+        given = ca.Function("given", data, given).call(parts)
+        (matrix, weak), (missed, lagrangian) = self.step(*point, *given), self.value(*point, *given)
+        step = -ca.solve(matrix, ca.densify(ca.jacobian(missed, z)), "qr", NO_CUTOFF)[: point[0].numel(), :]
+        infinite, zero = ca.if_else(weak, np.inf, 0.0), ca.fmin(ca.fabs(ca.sum1(z)), 0.0)  # which depends on the data
+        outputs = [ca.repmat(zero, point[0].numel(), 1), zero]
+        by_data = [step + infinite, ca.densify(ca.jacobian(lagrangian, z)) + infinite]
+        blocks = [
+            a
+            for by, out in zip(by_data, outputs, strict=True)
+            for a in (by, *(ca.MX(out.numel(), b.numel()) for b in point))
+        ]
+        unused = [ca.MX.sym("unused", *out.shape) for out in outputs]
+        names = ["data", "x", "lam_g", "lam_x"], ["change", "cheaper"]
+        jacobian = ca.Function(
+            "jac_changes",
+            [z, *point, *unused],
+            blocks,
+            [*names[0], *(f"out_{name}" for name in names[1])],
+            [f"jac_{of}_{by}" for of in names[1] for by in names[0]],
+        )
+        alone = dict.fromkeys(("enable_forward", "enable_reverse"), False) | {"is_diff_in": [True, False, False, False]}
+        options = {"custom_jacobian": jacobian, "jac_penalty": 0, "never_inline": True, **alone}
+        return ca.Function("changes", [z, *point], outputs, *names, options)
 
 
 def units_of(graph: ControlGraph, unknowns: np.ndarray, scales: np.ndarray, cost: float) -> Units:

@@ -71,9 +71,8 @@ def to_tolerance(
     if intervals is None and mesh is None:
         intervals = FEWEST + len(problem.breakpoints)
     joints = mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
-    best: Trajectory | None = None
-    smallest = np.inf
-    failure: ConvergenceError | None = None
+    path: Trajectory | None = None
+    error, failure = np.inf, None
     while len(joints) - 1 <= limits.intervals and time.perf_counter() <= deadline:
         try:
             path = steps(method, joints)
@@ -86,14 +85,12 @@ def to_tolerance(
                 error = path.asked_error or 0.0
             if error <= tol:
                 return path
-            if error < smallest:
-                best, smallest = path, error
         joints = np.insert(joints, range(1, len(joints)), (joints[:-1] + joints[1:]) / 2)
-    reached = f"the best path has an estimated error of {smallest:.1e}" if best else failure or "no path"
+    reached = f"the last path has an estimated error of {error:.1e}" if path else failure or "no path"
     raise LimitReached(
         f"tolerance {tol:g} was not reached within {limits.intervals:g} intervals and {limits.seconds:g} seconds: "
         f"{reached}. Raise the limits or tol; where neighboring paths part fast, steps keep few digits",
-        best or getattr(failure, "path", None),
+        path or getattr(failure, "path", None),
     ) from failure
 
 
