@@ -33,7 +33,6 @@ def problem():
         start=[1.0, 1.0],
         end=[None, EMPTY],
         start_velocity=[0.0, None],
-        end_velocity=[None, None],
         force=lambda t, x, v, u: u[0] - drag(x[0], v[0]) - u[0] / EXHAUST * v[0],
         terminal_cost=lambda t, x, v: -x[0],
         controls=1,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.roundoff import ZERO
 
-Values: TypeAlias = float | Sequence[float | None]  # of all components, or of the only one
+OneOrMore: TypeAlias = float | Sequence[float | None]  # of all components, or of the only one
 
 APART = 1e-12  # least relative difference of two times; between nearer ones velocities would be roundoff
 
@@ -139,7 +139,7 @@ def _place(index: Sequence[int] | np.ndarray) -> str:
     return f" at {[int(i) for i in index]}" if len(index) else ""
 
 
-def components(name: str, values: Values, length: int | None = None) -> tuple[float | None, ...]:
+def components(name: str, values: OneOrMore, length: int | None = None) -> tuple[float | None, ...]:
     """Check a sequence of finite numbers in which None stands for a free component; one component may be a number."""
     only = None if hasattr(values, "__len__") else number(values)
     array = real_array(name, values if only is None else [only], free=True)
@@ -155,7 +155,7 @@ def components(name: str, values: Values, length: int | None = None) -> tuple[fl
     return checked
 
 
-def numbers(name: str, values: Values, length: int | None = None) -> tuple[float, ...]:
+def numbers(name: str, values: OneOrMore, length: int | None = None) -> tuple[float, ...]:
     """Check a sequence of finite numbers."""
     checked = components(name, values, length)
     if None in checked:

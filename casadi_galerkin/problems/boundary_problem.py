@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import Values, components, counted, flag
+from casadi_galerkin.calculus.numbers import OneOrMore, components, counted, flag
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.problems.callables import Traceable, depends_on_time, with_multipliers
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
@@ -229,20 +229,20 @@ class BoundaryProblem(Problem):
         self,
         lagrangian: Traceable,
         t_span: Sequence[float],
-        start: Values,
-        end: Values | None = None,
+        start: OneOrMore,
+        end: OneOrMore | None = None,
         *,
-        parameters: Values | None = None,
+        parameters: OneOrMore | None = None,
         periodic: bool = False,
         force: Traceable | None = None,
         constraint: Traceable | None = None,
-        start_velocity: Values | None = None,
-        end_velocity: Values | None = None,
-        start_momentum: Values | None = None,
-        end_momentum: Values | None = None,
+        start_velocity: OneOrMore | None = None,
+        end_velocity: OneOrMore | None = None,
+        start_momentum: OneOrMore | None = None,
+        end_momentum: OneOrMore | None = None,
         end_action: Traceable | None = None,
         end_conditions: Traceable | None = None,
-        integral_conditions: tuple[Traceable, Values] | None = None,
+        integral_conditions: tuple[Traceable, OneOrMore] | None = None,
         energy: float | None = None,
         breakpoints: Sequence[float] = (),
     ) -> None:

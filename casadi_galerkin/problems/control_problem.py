@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.numbers import Values, counted, times_inside, whole_number
+from casadi_galerkin.calculus.numbers import OneOrMore, counted, times_inside, whole_number
 from casadi_galerkin.calculus.numbers import components as checked_components
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds
 from casadi_galerkin.problems.breakpoint_events import Pairs, Waypoint, is_limited, jumps, waypoints
@@ -272,10 +272,10 @@ class ControlProblem(Problem):
         self,
         lagrangian: Traceable | None = None,
         t_span: Sequence[float] | None = None,
-        start: Values | None = None,
-        end: Values | None = None,
-        start_velocity: Values | None = None,
-        end_velocity: Values | None = None,
+        start: OneOrMore | None = None,
+        end: OneOrMore | None = None,
+        start_velocity: OneOrMore | None = None,
+        end_velocity: OneOrMore | None = None,
         force: Traceable | None = None,
         running_cost: Traceable | None = None,
         controls: int = 0,
@@ -284,7 +284,7 @@ class ControlProblem(Problem):
         position_bounds: tuple[Limit, Limit] | None = None,
         path_constraint: tuple[Traceable, Limit, Limit] | None = None,
         duration_bounds: tuple[Limit, Limit] | None = None,
-        parameters: Values | None = None,
+        parameters: OneOrMore | None = None,
         parameter_bounds: tuple[Limit, Limit] | None = None,
         rates: Traceable | None = None,
         end_conditions: tuple[Traceable, Limit, Limit] | None = None,

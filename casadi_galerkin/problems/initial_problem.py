@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import Values
+from casadi_galerkin.calculus.numbers import OneOrMore
 from casadi_galerkin.problems.callables import Traceable
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
@@ -79,11 +79,11 @@ class InitialProblem(Problem):
         self,
         lagrangian: Traceable,
         t_span: Sequence[float],
-        start: Values,
+        start: OneOrMore,
         *,
-        momentum: Values | None = None,
-        velocity: Values | None = None,
-        parameters: Values | None = None,
+        momentum: OneOrMore | None = None,
+        velocity: OneOrMore | None = None,
+        parameters: OneOrMore | None = None,
         force: Traceable | None = None,
         constraint: Traceable | None = None,
     ) -> None:
