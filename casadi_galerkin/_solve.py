@@ -390,8 +390,9 @@ def solution_function(
     controls : as u, a guess such as ``path.control.values``
     duration, cost : scalars
 
-    It has first derivatives, with the bounds that act; they are not finite where a bound is met but hardly acts, and
-    an IPOPT around it takes ``{"hessian_approximation": "limited-memory"}``.  With fatrop, C code can be generated.
+    It has first derivatives, no second ones, with the bounds that act; they are not finite where a bound is met but
+    hardly acts.  IPOPT around it takes ``{"hessian_approximation": "limited-memory"}``.  With fatrop, C code can be
+    generated.
 
     The Function runs CasADi's Newton method, or the solver, and has none of the rescues of `solve`: the guess should
     be a path for data nearby.  Where residuals are above their roundoff floors or, of a ControlProblem, an equation or

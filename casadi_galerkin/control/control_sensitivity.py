@@ -174,6 +174,7 @@ class OptimalityConditions:
             blocks,
             [*names[0], *(f"out_{name}" for name in names[1])],
             [f"jac_{of}_{by}" for of in names[1] for by in names[0]],
+            dict.fromkeys(("enable_forward", "enable_reverse", "enable_jacobian"), False),  # no second derivatives
         )
         alone = dict.fromkeys(("enable_forward", "enable_reverse"), False) | {"is_diff_in": [True, False, False, False]}
         options = {"custom_jacobian": jacobian, "jac_penalty": 0, "never_inline": True, **alone}

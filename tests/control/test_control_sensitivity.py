@@ -225,3 +225,11 @@ def test_an_optimizer_around_an_optimization_finds_the_best_design():
     by = cg.sensitivity(solved(with_values(problem, parameters=(best, 0.4)), path))
     assert abs(by.cost["parameters"][0] + 0.2 * (best - 5)) <= 1e-7
     assert abs(best - 1.3) > 0.1
+
+
+def test_second_derivatives_of_the_function_are_refused():
+    problem = pushed()
+    path = solved(problem)
+    f, p = cg.solution_function(problem, METHOD, INTERVALS), ca.MX.sym("p", 2)
+    with pytest.raises(RuntimeError, match="Derivatives cannot be calculated for jac_changes"):
+        ca.hessian(f(**arguments(problem, path, parameters=p))["cost"], p)
