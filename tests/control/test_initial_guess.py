@@ -180,7 +180,7 @@ def test_an_earlier_answer_starts_warm_and_saves_iterations(name):
     problem, method, changes = NEAR[name]
     program = cg.transcribe(problem(), method, 12)
     known = program.solve()
-    by_path = program.solve(**changes, guess=(known, known.control))
+    by_path = program.solve(**changes, guess=(known, lambda t: known.control(t)))
     warm = program.solve(**changes, guess=known)
     assert warm.cost == pytest.approx(by_path.cost, rel=1e-10)
     np.testing.assert_allclose(warm.x, by_path.x, rtol=0, atol=SOLVED)
