@@ -20,7 +20,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 
-PARTS = 16  # of an interval, to see where a polynomial is cut
+PARTS = 32  # of an interval, to see where a polynomial is cut
 SAME_TIME = 4 * EPS  # rounding of the joint t_i + h q with q = 1, relative to the largest time
 
 
@@ -117,10 +117,14 @@ class ControlPath:
         points, weights = finer_rule(len(self.points))
         u, bump = self._local @ lagrange_values(self.points, points).T, self._bump(points) + TINY
         room, bumps = (self.bounds[:, :, None, None] - u) / bump, np.zeros(u.shape[:2])
+        share = weights * bump
         for k, i in np.argwhere(np.any((room[0] > 0) | (room[1] < 0), axis=2)):
             low, high = room[:, k, i]
-            meeting = np.unique(room[:, k, i][np.isfinite(room[:, k, i])])
-            bumps[k, i] = np.interp(0.0, np.clip(meeting[:, None], low, high) @ (weights * bump), meeting)
+            places, slopes = np.append(low, high), np.append(share, -share)
+            met = np.argsort(places)[np.isneginf(low).sum() : 2 * len(low) - np.isposinf(high).sum()]
+            places, slopes = places[met], np.cumsum(slopes[met]) + share @ np.isneginf(low)
+            mean = np.clip(places[0], low, high) @ share + np.append(0.0, np.cumsum(slopes[:-1] * np.diff(places)))
+            bumps[k, i] = np.interp(0.0, mean, places)
         return bumps
 
     @property

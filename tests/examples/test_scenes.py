@@ -783,7 +783,7 @@ def as_high_as_published(module, path):
         return [speed, float(push) / mass - 1 / height**2, -u[0] / module.EXHAUST]
 
     missed = np.abs(flown(rates, path, [1.0, 0.0, 1.0]) - [-path.cost, 0.0, module.EMPTY])
-    assert np.all(missed < [3e-6, 3e-4, 1e-9])  # speeds go up to 0.13, and a trembling thrust is found coarsely
+    assert np.all(missed < [3e-6, 3e-5, 3e-5])  # by a trembling thrust within its bounds, which is integrated coarsely
     thrust = path.control.values.reshape(len(path.t) - 1, -1) @ path.method.quadrature.weights
     early, late = thrust[path.t[1:] < 0.018], thrust[path.t[:-1] > 0.08]
     np.testing.assert_allclose(early, module.LARGEST, rtol=0, atol=1e-3)
