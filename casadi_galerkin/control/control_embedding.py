@@ -47,10 +47,14 @@ Triplet = tuple[np.ndarray, np.ndarray, np.ndarray | float]  # rows, columns, en
 
 def sparse(triplets: Iterable[Triplet], shape: tuple[int, int]) -> ca.DM:
     """Constant sparse matrix from triplets without repetitions; zeros are dropped."""
-    flat = [[a.ravel() for a in np.broadcast_arrays(*triplet)] for triplet in triplets]
-    rows, columns, entries = (np.concatenate(parts) for parts in zip(*flat, strict=True))
-    rows, columns, entries = (a[entries != 0] for a in (rows, columns, entries))
-    return ca.DM.triplet(rows.tolist(), columns.tolist(), ca.DM(entries), *shape)
+    flat = list[np.ndarray]()
+    for triplet in triplets:
+        block = np.empty((3, *np.broadcast(*triplet).shape))
+        block[0], block[1], block[2] = triplet
+        flat.append(block.reshape(3, -1))
+    entries = np.concatenate(flat, axis=1)
+    rows, columns = entries[:2, entries[2] != 0].astype(int).tolist()
+    return ca.DM.triplet(rows, columns, ca.DM(entries[2, entries[2] != 0]), *shape)
 
 
 @dataclass(frozen=True, eq=False)

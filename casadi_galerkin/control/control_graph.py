@@ -25,7 +25,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import largest_of
 from casadi_galerkin.control.control_embedding import Embedding, PlaceLayout
 from casadi_galerkin.control.control_numbering import Chain, Field, Numbering
-from casadi_galerkin.control.control_terms import Places, all_places
+from casadi_galerkin.control.control_terms import all_places
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -91,9 +91,11 @@ class ControlGraph:
         self._everything = ca.vertcat(self.unknowns, self.data)
         self.inputs = _split(ca.mtimes(made.matrix, self._everything), made.inputs)
         rule = ca.DM(numbering.chains[0].method.element.weights).T
-        every = {count: ca.MX(ca.repmat(rule, 1, count // rule.numel())) for count in {p.count for p in self._along}}
+        counts = {place.count for place in self.places if place.integrated}
+        every = {count: ca.MX(ca.repmat(rule, 1, count // rule.numel())) for count in counts}
         self._weights = [every[place.count] if place.integrated else 1.0 for place in self.places]
-        self.cost = ca.densify(self._total(self._evaluate("value", self.inputs)))
+        self._costs = self._weighted(self._evaluate("value", self.inputs))
+        self.cost = ca.densify(ca.sum2(ca.horzcat(*self._costs)))
         self._rows = self._evaluate("equations", self.inputs)
         summed = ca.mtimes(made.test.T, ca.veccat(*self._rows)) + ca.mtimes(made.linear, self.unknowns)
         self.equations = ca.densify(summed)
@@ -103,18 +105,9 @@ class ControlGraph:
         given = zip(self.places, *arguments, strict=True)
         return [place.evaluate(getattr(place.terms, name), *arrays) for place, *arrays in given]
 
-    @property
-    def _along(self) -> list[Places]:
-        """The quadrature points of all phases."""
-        return [place for place in self.places if place.integrated]
-
     def _weighted(self, values: list[ca.MX]) -> list[ca.MX]:
         """Values at all kinds of places, those at quadrature points with their weights."""
         return [value * weight for value, weight in zip(values, self._weights, strict=True)]
-
-    def _total(self, values: list[ca.MX]) -> ca.MX:
-        """The integral of values at the quadrature points, plus those at all other kinds of places."""
-        return ca.sum2(ca.horzcat(*self._weighted(values)))
 
     def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
         """Blockdiag(·) of one matrix per place, from their nonzeros at all kinds of places."""
@@ -202,22 +195,24 @@ class ControlGraph:
         slopes = self._gradients + ca.mtimes(self._derivatives.T, ca.veccat(*local_multipliers))
         active = [z[place.terms.active.tolist(), :] for place, z in zip(self.places, self.inputs, strict=True)]
         changes = [z - ca.repmat(ca.sum2(z) / z.shape[1], 1, z.shape[1]) for z in active]
-        values, along = self._weighted(self._evaluate("value", self.inputs)), zip(self.places, *given, strict=True)
-        costs, actions, hamiltonians = list[ca.MX](), list[ca.MX](), list[ca.MX]()
-        for place, z, *with_multipliers in along:
-            if place.integrated:
-                phase = made.phases[len(actions)]
-                part, duration = (
-                    int(phase.points.row(name)[0, 0] - phase.points.first) for name in ("part", "duration")
-                )
-                action, by_step = place.evaluate(place.terms.action_and_derivative(part), z, *with_multipliers)
-                costs.append(ca.sum2(ca.horzcat(*values[: len(phase.inputs)])))
-                values = values[len(phase.inputs) :]
-                actions.append(ca.sum2(with_multipliers[0] / factor * action))
-                hamiltonians.append(ca.sum1(ca.reshape(by_step / z[duration, :], -1, phase.chain.intervals)).T)
+        costs, actions, hamiltonians, at_places = (
+            list[ca.MX](),
+            list[ca.MX](),
+            list[ca.MX](),
+            [*zip(*given, strict=True)],
+        )
+        for phase in made.phases:
+            i = made.inputs.index(phase.points)
+            part, duration = (int(phase.points.row(name)[0, 0] - phase.points.first) for name in ("part", "duration"))
+            function = self.places[i].terms.action_and_derivative(part)
+            action, by_step = self.places[i].evaluate(function, *at_places[i])
+            costs.append(ca.sum2(ca.horzcat(*self._costs[i : i + len(phase.inputs)])))
+            actions.append(ca.sum2(self._weights[i] * action))
+            step = self.inputs[i][duration, :]
+            hamiltonians.append(ca.sum1(ca.reshape(by_step / step, -1, phase.chain.intervals)).T)
         outputs = [
             self.cost,
-            self._total(self._evaluate("cost_terms", self.inputs, changes)),
+            ca.sum2(ca.horzcat(*self._weighted(self._evaluate("cost_terms", self.inputs, changes)))),
             ca.vertcat(*costs),
             ca.vertcat(*actions),
             self.equations,

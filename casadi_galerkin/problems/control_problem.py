@@ -348,10 +348,10 @@ class ControlProblem(Problem):
     @property
     def limits(self) -> Limited:
         """The path constraints, and behind them the bounded velocities; that of a rated component is its rate."""
-        low, high = np.array(self.velocity_bounds)
-        bounded = tuple(np.flatnonzero(np.isfinite(low) | np.isfinite(high)).tolist())
+        bounded = tuple(np.flatnonzero(np.isfinite(self.velocity_bounds).any(axis=0)).tolist())
         if not bounded:
             return self.path_constraint
+        low, high = np.array(self.velocity_bounds)
         g, *sides = self.path_constraint
         lows, highs = ((*side, *values[list(bounded)]) for side, values in zip(sides, (low, high), strict=True))
         return _with_velocities(g, self.rates, bounded), lows, highs

@@ -84,16 +84,16 @@ def beyond_tables(function: ca.Function) -> ca.Function | None:
 
 def off_tables(problem: Any, path: PiecewisePolynomial, control: Any = None) -> str | None:
     """Say where a path, with the controls of a ControlProblem, leaves a table; None if nowhere."""
-    numeric = problem.numeric
-    functions = [numeric.lagrangian, *([numeric.force] if control is None else numeric.along)]
+    functions = [problem.lagrangian, *([problem.force] if control is None else problem.along)]
     called = [(f, beyond) for f in functions if f is not None and (beyond := beyond_tables(f)) is not None]
     if not called:
         return None
     parts = sampling_parts(path.degree)
     t, x, v = path.sampled(parts)
     places = [t[None, :], x, v, *([] if control is None else [control.at(parts)])]
+    p = () if problem.parameters is None else (np.repeat(np.vstack(problem.parameters), len(t), axis=1),)
     for function, beyond in called:
-        far = np.array(beyond.map(len(t))(*places[: function.n_in()])).ravel()
+        far = np.array(beyond.map(len(t))(*places[: function.n_in() - len(p)], *p)).ravel()
         k = int(np.argmax(far))
         if far[k] > EPS**0.5:
             return (
