@@ -70,9 +70,7 @@ def answer(
                 raise ConvergenceError(f"no path {where}was found: {reason}", Path(path), residual, solve["iterations"])
         momentum = np.zeros((chain.dimension, len(joints)))
         momentum[:mechanical] = (values["momentum"] * values["sizes"]).T
-        rates = np.zeros((2, 0))
-        if mechanical < chain.dimension:
-            rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T
+        rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T
         costate = chain.costate(multipliers, bound_multipliers, joints, starts[k])
         found.append(
             ControlTrajectory(

@@ -176,11 +176,10 @@ class PhaseEmbedding:
         yield p.row("controls"), f["controls"][interval, k % f["controls"].shape[1]], 1.0
         yield p.row("part"), f["part"][interval][:, None], 1.0
         yield from self._times_and_parameters(p, interval, element.points[k])
-        x, velocity = f["x"][[0, -1]], np.stack((f["start_velocity"], f["end_velocity"]))
-        at_either = {"x": x, "velocity": velocity, "time": f["begin"][[0, -1]]}
-        at_either |= {"parameters": f["parameters"][[0, -1]], "sizes": f["sizes"]}
-        for name, index in at_either.items():
-            yield self.either_end.row(name), index, 1.0
+        for name, field in {"x": "x", "time": "begin", "parameters": "parameters"}.items():
+            yield self.either_end.row(name), f[field][[0, -1]], 1.0
+        yield self.either_end.row("velocity"), np.stack((f["start_velocity"], f["end_velocity"])), 1.0
+        yield self.either_end.row("sizes"), f["sizes"], 1.0
         yield self.either_end.row("time")[-1:], f["duration"][-1], 1.0
         if self.both_ends.count:
             yield from self.at_ends(self.both_ends)
@@ -191,7 +190,6 @@ class PhaseEmbedding:
             yield self.nodes.row("impulse"), np.vstack((f["start_impulse"], impulses)), 1.0
             where = np.append(0, interval), np.append(0.0, element.nodes[1:][a])
             yield from self._times_and_parameters(self.nodes, *where)
-
         if self.changes.count:
             times, n = self.chain.control_times, self.chain.controls
             u, last = f["controls"].reshape(-1, n), np.arange(1, self.chain.intervals) * len(times) - 1
@@ -234,11 +232,8 @@ class PhaseEmbedding:
         yield either_end.row("tangent"), np.stack((rows["start_tangent"], rows["end_tangent"])), 1.0
         yield both_ends.row("conditions"), rows["ends"], 1.0
         if changes.count:
-            yield (
-                changes.row("changes"),
-                np.vstack((rows["changes"].reshape(-1, chain.changes), rows["joint_changes"])),
-                1.0,
-            )
+            changed = np.vstack((rows["changes"].reshape(-1, chain.changes), rows["joint_changes"]))
+            yield changes.row("changes"), changed, 1.0
         if chain.constraints:
             later = np.concatenate((rows["motion"][:, 1:], rows["momentum"][:, None]), axis=1).reshape(-1, dm)
             of_constraint = np.vstack((rows["start_constraint"], rows["constraint"].reshape(-1, chain.constraints)))
@@ -299,10 +294,8 @@ class Embedding:
         depends = np.zeros(self.matrix.shape[0], dtype=bool)
         depends[self.matrix[:, : self.numbering.unknowns].sparsity().row()] = True
         parts = np.split(depends, [place.last for place in self.inputs[:-1]])
-        return [
-            np.flatnonzero(part.reshape(place.count, -1).any(axis=0))
-            for part, place in zip(parts, self.inputs, strict=True)
-        ]
+        at_one = [part.reshape(place.count, -1) for part, place in zip(parts, self.inputs, strict=True)]
+        return [np.flatnonzero(some.any(axis=0)) for some in at_one]
 
     @cached_property
     def differentiated(self) -> ca.DM:

@@ -147,11 +147,8 @@ class ControlGraph:
     @cached_property
     def _lagrangian(self) -> tuple[ca.MX, ca.MX, tuple[list[ca.MX], ...], ca.MX]:
         """Symbols φ and λ, the arguments of the pointwise derivatives of f̄, and Λᵀλ."""
-        made, factor, multipliers = (
-            self.embedding,
-            ca.MX.sym("factor"),
-            ca.MX.sym("multipliers", self.numbering.equations),
-        )
+        made, factor = self.embedding, ca.MX.sym("factor")
+        multipliers = ca.MX.sym("multipliers", self.numbering.equations)
         weights = [factor * weight for weight in self._weights]
         local_multipliers = _split(ca.mtimes(made.test, multipliers), made.outputs)
         return factor, multipliers, (self.inputs, weights, local_multipliers), ca.mtimes(made.linear.T, multipliers)

@@ -149,16 +149,10 @@ class Chain:
         self.end_conditions = problem.conditions_at_ends
         self.conditions = len(self.end_conditions[1])
         limited = self.conditions > len(problem.end_conditions[1])
-        self._words_of_ends = (
-            "condition {} on the end, stated or by a path constraint" if limited else "end condition {}"
-        )
-        lasting, parameters = problem.duration_bounds is not None, problem.parameter_bounds is not None
-        freed = {
-            "begin": begins_free or problem.initial_time_bounds is not None,
-            "duration": lasting,
-            "parameters": parameters,
-        }
-        self.free = tuple(name for name, free in freed.items() if free)
+        of_ends = "condition {} on the end, stated or by a path constraint" if limited else "end condition {}"
+        free = begins_free or problem.initial_time_bounds, problem.duration_bounds, problem.parameter_bounds
+        named = zip(("begin", "duration", "parameters"), free, strict=True)
+        self.free = tuple(name for name, bounds in named if bounds)
         self.breaks = np.searchsorted(mesh, problem.breakpoints)
         self.control_times = np.array([0.5]) if problem.hold else method.element.points
         self.changes = self.controls * bool(np.isfinite(problem.control_rate_bounds).any())
@@ -169,10 +163,9 @@ class Chain:
         along = problem.running_cost, problem.limits[0]
         of_rates = np.arange(self.dimension) >= self.mechanical
         self.velocities_of_rates = any(rows_that_depend(f, VELOCITIES, of_rates).any() for f in along)
-        self._number_unknowns()
-        self._number_equations()
+        self._number(of_ends)
 
-    def _number_unknowns(self) -> None:
+    def _number(self, of_ends: str) -> None:
         n, moving, nodes = self.intervals, range(self.mechanical), self.method.element.nodes[1:]
         x, velocity = ("x[{}]", "x", range(self.dimension)), ("velocity", moving)
         impulse = "impulse", range(self.constraints)
@@ -192,32 +185,26 @@ class Chain:
             Field("start_velocity", "start_velocity[{}]", *velocity),
             Field("start_impulse", "start_impulse[{}]", *impulse),
         ]
-        at_end = Field("end_velocity", "end_velocity[{}]", *velocity)
+        last = Field("end_velocity", "end_velocity[{}]", *velocity)
         lengths = {"left": n, "part": n, "sizes": self.mechanical}
         given = [Field(name, name, name, range(count)) for name, count in lengths.items()]
         data = [constant for constant in constants if constant not in free] + given
-        others = [[*chosen, *at_start], *[chosen] * (n - 1), [at_end]]
-        self._widths = [(length(state), length(other)) for other in others]
+        others = [[*chosen, *at_start], *[chosen] * (n - 1), [last]]
+        widths = [(length(state), length(other)) for other in others]
         self.unknown_stages: Stages = [[*state, *other] for other in others]
-        self.unknowns, self.given = sum(map(sum, self._widths)), length(data)
+        self.unknowns, self.given = sum(map(sum, widths)), length(data)
         fields = numbered(self.unknown_stages) | numbered([data], self.unknowns)
-        once = {field.name: fields[field.name][0] for field in (*at_start, at_end, *given)}
+        once = {field.name: fields[field.name][0] for field in (*at_start, last, *given)}
         alike = {c.name: np.broadcast_to(fields[c.name], (n + 1, *c.shape)) for c in constants}
         self.fields = {**fields, **once, **alike}
-        self._tied = [replace(constant, at=1.0) for constant in free]
         self.unknown_kinds = kinds_of(self.unknown_stages, self.fields)
-
-    def _number_equations(self) -> None:
-        n, d, element, held = self.intervals, self.dimension, self.method.element, range(self.constraints)
-        motion = "the equation of motion of x[{}]", "motion", range(self.mechanical)
+        d, element, held = self.dimension, self.method.element, range(self.constraints)
+        motion = "the equation of motion of x[{}]", "motion", moving
         constraint, tangent = ("constraint {}", "constraint", held), ("the rate of constraint {}", "tangent", held)
         changed = "the rate of u[{}]", "changes", range(self.changes)
         over_joints = Field("joint_changes", *changed)
-        tied = [
-            Field("x", "the continuity of x[{}]", "x", range(d), 1.0),
-            Field("momentum", *motion, 1.0),
-            *self._tied,
-        ]
+        tied = [Field("x", "the continuity of x[{}]", "x", range(d), 1.0), Field("momentum", *motion, 1.0)]
+        tied += [replace(constant, at=1.0) for constant in free]
         test_points = np.array(gauss(self.method.degree).points)
         inner = [
             Field("motion", *motion, element.nodes[:-1]),
@@ -227,7 +214,7 @@ class Chain:
             Field("changes", *changed, self.control_times[1:]),
         ]
         at_start = [Field("start", *motion), Field("start_constraint", *constraint), Field("start_tangent", *tangent)]
-        ends = Field("ends", self._words_of_ends, "ends", range(self.conditions))
+        ends = Field("ends", of_ends, "ends", range(self.conditions))
         at_end = [Field("end", *motion), Field("end_tangent", *tangent), ends]
         further = [[*inner, *at_start], *[[*inner, over_joints]] * (n - 1), at_end]
         self.equation_stages: Stages = [[*(tied if i < n else []), *other] for i, other in enumerate(further)]
@@ -236,7 +223,7 @@ class Chain:
         self.rows = rows | {field.name: rows[field.name][0] for field in (*at_start, *at_end)}
         self.departures = np.vstack((rows["motion"][:, 0], rows["momentum"][-1:]))
         self.equations = sum(map(length, self.equation_stages))
-        self.stages = [(*width, length(other)) for width, other in zip(self._widths, further, strict=True)]
+        self.stages = [(*width, length(other)) for width, other in zip(widths, further, strict=True)]
         self.kinds = kinds_of(self.equation_stages, self.rows)
         self.motions, self.rated = np.arange(d, d + self.mechanical), np.unique(self.kinds[self.rows["rates"]])
 
@@ -255,11 +242,6 @@ class Chain:
         local = np.concatenate((values["x"][:-1, None], values["nodes"][:, :-1]), axis=1)
         everything = np.vstack((local.reshape(-1, self.dimension), values["x"][-1])).T
         return PiecewisePolynomial(mesh, self.method.element.nodes, everything)
-
-    @cached_property
-    def _rate_basis(self) -> np.ndarray:
-        """Test polynomials of the rates at the nodes; (m + 1, m)."""
-        return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes)
 
     def costate(
         self, multipliers: np.ndarray, bounds: np.ndarray, mesh: np.ndarray, start: np.ndarray
@@ -280,7 +262,8 @@ class Chain:
         m, others = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
         motion = np.vstack((motion, -multipliers[self.rows["momentum"][-1]]))
-        between = -self._rate_basis @ multipliers[self.rows["rates"]]
+        tests = lagrange_values(np.array(gauss(m).points), self.method.element.nodes)
+        between = -tests @ multipliers[self.rows["rates"]]
         rates, ends = between[:, :-1], between[:, -1]
         if not self.velocities_of_rates:
             ends = -multipliers[self.rows["x"]][:, others]
@@ -313,9 +296,8 @@ class Numbering:
     """
 
     def __init__(self, chains: Sequence[Chain], joins: Sequence[Field] = (), alike: bool = True) -> None:
-        parts = np.array(
-            [(c.unknowns, c.given, c.equations, max(c.kinds) + 1, max(c.unknown_kinds) + 1) for c in chains]
-        )
+        lengths = [(c.unknowns, c.given, c.equations, max(c.kinds) + 1, max(c.unknown_kinds) + 1) for c in chains]
+        parts = np.array(lengths)
         before = np.cumsum(np.vstack((np.zeros_like(parts[:1]), parts)), axis=0)
         if alike:
             before[:-1, 3:], before[-1, 3:] = 0, parts[:, 3:].max(axis=0)

@@ -149,8 +149,7 @@ def all_places(phases: Sequence[ControlProblem], joins: Joins, embedding: Embedd
     """All kinds of places that exist, in the order of the embedding; equal terms are made once."""
     made, shared = list[tuple[PlaceLayout, tuple[ca.SX, Terms]]](), dict[str, PointwiseTerms]()
     for problem, of_phase in zip(phases, embedding.phases, strict=True):
-        for place in of_phase.inputs:
-            made.append((place, _terms(problem, of_phase, place)))
+        made += [(place, _terms(problem, of_phase, place)) for place in of_phase.inputs]
     if embedding.joins is not None:
         made.append((embedding.joins, _of_joins(phases, joins, embedding.joins)))
     places, integrated = list[Places](), [of_phase.points for of_phase in embedding.phases]
@@ -212,7 +211,7 @@ def _at_points(problem: ControlProblem, *inputs: Any) -> Terms:
 
 def _at_either_end(problem: ControlProblem, *inputs: Any) -> Terms:
     x, v, p, t, sizes = inputs
-    rows = [_momentum(problem, t, x, _filled(v, x), p) / sizes]
+    rows = [momentum_at(problem.lagrangian, t, x, _filled(v, x), *p)[: problem.mechanical, 0] / sizes]
     if problem.constraint is not None:
         g = problem.constraint(t, x, *p)
         rows.append(ca.mtimes(ca.jacobian(g, x), v) + ca.jacobian(g, t))
@@ -237,11 +236,6 @@ def _at_nodes(problem: ControlProblem, *inputs: Any) -> Terms:
 def _at_changes(_: ControlProblem, *inputs: Any) -> Terms:
     before, after, duration, part = inputs[:4]
     return {"rows": (after - before) / (duration * part)}
-
-
-def _momentum(problem: ControlProblem, t: ca.SX, x: ca.SX, v: ca.SX, p: list[ca.SX]) -> ca.SX:
-    """∂L/∂v of the mechanical components."""
-    return momentum_at(problem.lagrangian, t, x, v, *p)[: problem.mechanical, 0]
 
 
 def _filled(v: ca.SX, x: ca.SX) -> ca.SX:

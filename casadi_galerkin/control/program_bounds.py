@@ -34,16 +34,15 @@ class ProgramBounds:
 
     def narrowed(self, relaxed: float) -> ProgramBounds:
         """Bounds that become these after a solver relaxes every bound b by this part of max(1, |b|)."""
-        return ProgramBounds(_narrowed(self.unknowns, relaxed), _narrowed(self.equations, relaxed))
-
-
-def _narrowed(sides: np.ndarray, relaxed: float) -> np.ndarray:
-    low, high = sides
-    moves = relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(sides), np.abs(sides), 1.0))
-    least, most = low + moves[0], high - moves[1]
-    crossed = least > most  # what has no room between its bounds is fixed in the middle
-    least[crossed] = most[crossed] = (low[crossed] + high[crossed]) / 2
-    return np.stack((least, most))
+        narrow = list[np.ndarray]()
+        for sides in (self.unknowns, self.equations):
+            low, high = sides
+            moves = relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(sides), np.abs(sides), 1.0))
+            moved = sides + moves * [[1], [-1]]
+            crossed = moved[0] > moved[1]  # what has no room between its bounds is fixed in the middle
+            moved[:, crossed] = (low[crossed] + high[crossed]) / 2
+            narrow.append(moved)
+        return ProgramBounds(*narrow)
 
 
 def bounds_of(
@@ -60,10 +59,12 @@ def bounds_of(
         if "begin" in chain.free:
             given = (-np.inf, np.inf) if k else (problem.t_span[0],) * 2
             _limit(sides, chain.fields["begin"][-1], problem.initial_time_bounds or given)
-        for i, (rows, satisfied) in enumerate(_constraint_at_ends(problem, chain)):
-            goes_on = k > 0 and i < 2 and phases[k - 1].constraint is not None
-            free = np.where((satisfied | goes_on) & (not implied), np.inf, 0.0)
-            _limit(equations, rows, (-free, free))
+        of_constraint = chain.rows["start_constraint"], chain.rows["constraint"][-1, -1]
+        goes_on = k > 0 and phases[k - 1].constraint is not None, False
+        for name, rows, on, satisfied in zip(ENDS, of_constraint, goes_on, problem.constraint_satisfied, strict=True):
+            for index, anyway in zip((rows, chain.rows[f"{name}_tangent"]), satisfied, strict=True):
+                free = np.where((anyway | on) & (not implied), np.inf, 0.0)
+                _limit(equations, index, (-free, free))
     _limit(equations, slice(numbering.equations - len(joins.conditions[1]), None), joins.conditions[1:])
     return ProgramBounds(sides[:, : numbering.unknowns], equations)
 
@@ -74,20 +75,17 @@ def _bound_phase(sides: np.ndarray, equations: np.ndarray, problem: ControlProbl
     for index in (fields["x"], fields["nodes"][:, :-1]):
         _limit(sides, index, problem.position_bounds)
     _limit(sides, fields["controls"], problem.control_bounds)
-    for name, bounds in (("duration", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
-        if bounds is not None:
-            _limit(sides, fields[name][-1], bounds)
-    x, velocity_bounds = fields["x"][0], np.array(problem.velocity_bounds)[:, : chain.mechanical]
-    low, high = np.array(problem.start_bounds)
-    _limit(sides, x, (np.maximum(sides[0, x], low), np.minimum(sides[1, x], high)))
+    for name, given in (("duration", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
+        if given is not None:
+            _limit(sides, fields[name][-1], given)
     for name in ("start_velocity", "end_velocity"):
-        _limit(sides, fields[name], velocity_bounds)
+        _limit(sides, fields[name], np.array(problem.velocity_bounds)[:, : chain.mechanical])
     if chain.changes:
         for name in ("changes", "joint_changes"):
             _limit(equations, chain.rows[name], problem.control_rate_bounds)
-    for t, place in problem.waypoints:
-        index = fields["x"][joints.get(t, -1)]
-        low, high = np.transpose(place)
+    places = [(fields["x"][joints.get(t, -1)], np.transpose(place)) for t, place in problem.waypoints]
+    for index, bounds in [(fields["x"][0], np.array(problem.start_bounds)), *places]:
+        low, high = bounds
         _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
     for name, limited in (("path", problem.limits), ("ends", chain.end_conditions)):
         _limit(equations, chain.rows[name], limited[1:])
@@ -156,15 +154,6 @@ def _limit(sides: np.ndarray, index: np.ndarray | slice, bounds: ArrayLike) -> N
     """Set lower and upper bounds, (2, count), of the entries (..., count) of two long vectors."""
     for side, bound in zip(sides, np.asarray(bounds), strict=True):
         side[index] = bound
-
-
-def _constraint_at_ends(problem: ControlProblem, chain: Chain) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Rows of a constraint and of its time derivative at both ends, and whether given values satisfy them already."""
-    rows, ends = chain.rows, list[tuple[np.ndarray, np.ndarray]]()
-    of_constraint = rows["start_constraint"], rows["constraint"][-1, -1]
-    for name, constraint, (satisfied, tangent) in zip(ENDS, of_constraint, problem.constraint_satisfied, strict=True):
-        ends += [(constraint, satisfied), (rows[f"{name}_tangent"], tangent)]
-    return ends
 
 
 def check_count(numbering: Numbering, bounds: ProgramBounds) -> None:
