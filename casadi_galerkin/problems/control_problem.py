@@ -304,7 +304,7 @@ class ControlProblem(Problem):
             count = whole_number("components", components)
             start = checked_components("start", [None] * count if start is None else start, count)
         elif start is None:
-            raise TypeError("give start, or the number of components where all of it is free, got neither")
+            raise TypeError("give start, or the number of `components` where all of it is free, got neither")
         self._state({**locals(), "first_order": left_out(lagrangian)})
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -159,7 +160,10 @@ class Path(Table, Pictured):
             raise TypeError(f"points must be a callable of positions, got {points!r}")
         places = real_array("the places that points returns", points(self(times)))
         if places.ndim != 3 or places.shape[1:] != (2, len(times)):
-            raise ValueError(f"points must return an array of shape (n, 2, {len(times)}), got {places.shape}")
+            raise ValueError(
+                f"points must return an array of shape (n, 2, {len(times)}), got {places.shape}: n points, the two "
+                "coordinates of each, and the times"
+            )
         return places
 
     def _title(self) -> str:
@@ -215,8 +219,12 @@ def load(file: File) -> Path | tuple[Path, ControlPath]:
     >>> cg.solve(fall, tol=1e-6, guess=cg.load(file)).iterations
     1
     """
-    with np.load(file_path(file)) as archive:
-        arrays: dict[str, dict[str, np.ndarray]] = {"polynomial": {}, "control": {}}
+    arrays: dict[str, dict[str, np.ndarray]] = {"polynomial": {}, "control": {}}
+    with open(file_path(file), "rb") as stream:
+        archive = {}
+        if is_zipfile(stream):  # of a table in text, numpy says that it holds pickles
+            stream.seek(0)
+            archive = np.load(stream)
         for name in archive:
             kind, _, part = name.partition(".")
             if kind in arrays and part:

@@ -22,7 +22,7 @@ BADLY_STATED = {
     ),
     "half a control": ({"controls": 1.0}, TypeError, "controls must be a whole number, got 1.0"),
     "start as a table": ({"start": {"x": 0}}, TypeError, "start must be a sequence of numbers.* got {'x': 0}"),
-    "no start": ({"start": None}, TypeError, "give start, or the number of components where all of it is free"),
+    "no start": ({"start": None}, TypeError, "give start, or the number of `components` where all of it is free"),
     "another number of components": ({"components": 2}, ValueError, "start must have 2 components, got 1"),
     "half a component": ({"components": 0.5}, TypeError, "components must be a whole number, got 0.5"),
     "no time": ({"t_span": None}, TypeError, "t_span must be a sequence of numbers, got None"),

@@ -157,8 +157,10 @@ def test_a_path_that_jumps_is_read_with_its_jumps(tmp_path):
 def test_a_file_without_a_path_is_refused(tmp_path):
     swept, _ = answers()[3]
     swept.to_npz(tmp_path / "swept.npz")
-    with pytest.raises(ValueError, match=r"swept.npz holds no path; only to_npz of a path writes one"):
-        cg.load(tmp_path / "swept.npz")
+    swept[0].to_csv(tmp_path / "path.csv")
+    for name in ("swept.npz", "path.csv"):
+        with pytest.raises(ValueError, match=f"{name} holds no path; only to_npz of a path writes one"):
+            cg.load(tmp_path / name)
     with pytest.raises(TypeError, match="file must be the path of a file, a string or a Path, got 3"):
         cg.load(3)
 
