@@ -265,7 +265,7 @@ class Embedding:
     inputs, outputs : layouts of the inputs, and of the outputs, at all kinds of places that exist
     """
 
-    def __init__(self, numbering: Numbering, joined: bool) -> None:
+    def __init__(self, numbering: Numbering) -> None:
         self.numbering, self.phases, first = numbering, list[PhaseEmbedding](), (0, 0)
         self.inputs, self.outputs = list[PlaceLayout](), list[PlaceLayout]()
         for chain in numbering.chains:
@@ -274,7 +274,7 @@ class Embedding:
             self.outputs += self.phases[-1].outputs
             first = self.inputs[-1].last, self.outputs[-1].last
         self.joins = None
-        if joined:
+        if len(self.phases) > 1:
             ends = {f"{name} {k}": size for k, phase in enumerate(self.phases) for name, size in phase.ends.items()}
             self.joins = PlaceLayout(1, ends, first[0])
             self.inputs.append(self.joins)

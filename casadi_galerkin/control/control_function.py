@@ -39,9 +39,8 @@ def control_function(
     known = numbers.pack(start.values)
     sizes = equation_scales(phases, numbers, bounds, transcription.graph.report(*known), start.sizes)
     first, data = (ca.MX(ca.DM(part)) for part in known)
-    checked_by = bounds_of(
-        phases, transcription.joins, numbers, implied=True
-    )  # ends that are data may violate a constraint
+    # ends that are data may violate a constraint
+    checked_by = bounds_of(phases, transcription.joins, numbers, implied=True)
     programmed = bounds.narrowed(BOUND_RELAXATION[solver.name])
     stated, narrow = ([ca.MX(ca.DM(side)) for side in (*b.unknowns, *b.equations)] for b in (checked_by, programmed))
     inputs, allowed = {}, ca.MX(1)

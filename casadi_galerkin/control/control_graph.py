@@ -29,7 +29,7 @@ from casadi_galerkin.control.control_terms import all_places
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.phases import Joins, Phases, joined_sections, sections, times_free
+from casadi_galerkin.problems.phases import Phases, joined_sections, sections, times_free
 
 ROUNDOFF_ONLY = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
 # part of the cost of a change as large as the path itself above which the cost measures its own errors: the cost of a
@@ -69,24 +69,36 @@ class ControlGraph:
 
     Parameters
     ----------
-    phases : ControlProblems
-    joins : what joins them
-    numbering : Numbering
+    problem : ControlProblem or Phases
+    method : Galerkin
+    mesh : (N + 1,)
     mapping : how L, cost and forces are evaluated at the points, as for `Functional`
 
     Attributes
     ----------
+    joins : what joins the phases
+    numbering : Numbering
     unknowns, data : MX symbols
     cost, equations : MX expressions f and G
     places : Places of all kinds
     inputs : MX expressions A ξ, the inputs at all kinds of places
     """
 
-    def __init__(self, phases: Sequence[ControlProblem], joins: Joins, numbering: Numbering, mapping: PointMap) -> None:
-        joined = len(phases) > 1
-        self.numbering, self.joins, self.embedding = numbering, joins, Embedding(numbering, joined)
-        made, count = self.embedding, numbering.unknowns
-        self.places = all_places(phases, joins, made, mapping)
+    def __init__(
+        self, problem: ControlProblem | Phases, method: Galerkin, mesh: np.ndarray, mapping: PointMap = one_by_one
+    ) -> None:
+        phases, several = phases_of(problem), isinstance(problem, Phases)
+        self.joins = problem.joins if isinstance(problem, Phases) else joined_sections(problem, phases)
+        free = len(phases) > 1 and times_free(phases)
+        chains = [Chain(phase, method, one, free) for phase, one in zip(phases, meshes_of(phases, mesh), strict=True)]
+        ends = np.cumsum([len(chain.unknown_stages) for chain in chains])
+        fields = [
+            Field(f"join {i}", join.words, f"join {i}", range(join.rows), float(ends[join.after] - 1 - ends[-1]))
+            for i, join in enumerate(self.joins.each)
+        ]
+        numbering = self.numbering = Numbering(chains, fields, not several)
+        made = self.embedding = Embedding(numbering)
+        count, self.places = numbering.unknowns, all_places(phases, self.joins, made, mapping)
         self.unknowns, self.data = ca.MX.sym("unknowns", count), ca.MX.sym("data", numbering.size - count)
         self._everything = ca.vertcat(self.unknowns, self.data)
         self.inputs = _split(ca.mtimes(made.matrix, self._everything), made.inputs)
@@ -253,22 +265,6 @@ def meshes_of(phases: Sequence[ControlProblem], mesh: np.ndarray) -> list[np.nda
     """The joints of every phase, of those of the whole."""
     cuts = np.searchsorted(mesh, [phase.t_span[1] for phase in phases]).tolist()
     return [mesh[first : last + 1] for first, last in pairwise([0, *cuts])]
-
-
-def graph_of(
-    problem: ControlProblem | Phases, method: Galerkin, mesh: np.ndarray, mapping: PointMap = one_by_one
-) -> ControlGraph:
-    """Build the Functions of a program."""
-    phases, several = phases_of(problem), isinstance(problem, Phases)
-    joins = problem.joins if isinstance(problem, Phases) else joined_sections(problem, phases)
-    free = len(phases) > 1 and times_free(phases)
-    chains = [Chain(phase, method, one, free) for phase, one in zip(phases, meshes_of(phases, mesh), strict=True)]
-    ends = np.cumsum([len(chain.unknown_stages) for chain in chains])
-    fields = [
-        Field(f"join {i}", join.words, f"join {i}", range(join.rows), float(ends[join.after] - 1 - ends[-1]))
-        for i, join in enumerate(joins.each)
-    ]
-    return ControlGraph(phases, joins, Numbering(chains, fields, not several), mapping)
 
 
 def _split(stacked: ca.MX, places: Sequence[PlaceLayout]) -> list[ca.MX]:

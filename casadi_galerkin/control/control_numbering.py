@@ -295,7 +295,7 @@ class Numbering:
     unknown_stages, equation_stages : of all phases, and behind them one of the equations that join them
     """
 
-    def __init__(self, chains: Sequence[Chain], joins: Sequence[Field] = (), alike: bool = True) -> None:
+    def __init__(self, chains: Sequence[Chain], joins: Sequence[Field], alike: bool) -> None:
         lengths = [(c.unknowns, c.given, c.equations, max(c.kinds) + 1, max(c.unknown_kinds) + 1) for c in chains]
         parts = np.array(lengths)
         before = np.cumsum(np.vstack((np.zeros_like(parts[:1]), parts)), axis=0)

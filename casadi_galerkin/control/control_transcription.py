@@ -26,7 +26,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.control_answer import answer
-from casadi_galerkin.control.control_graph import graph_of, meshes_of, phases_of
+from casadi_galerkin.control.control_graph import ControlGraph, meshes_of, phases_of
 from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
 from casadi_galerkin.control.initial_guess import first_values, guesses_of_phases, near_answer
 from casadi_galerkin.control.optimizer import (
@@ -132,7 +132,7 @@ class ControlTranscription:
         for phase in self.phases:
             check_points(phase.constraint, method)
         with fork_waits:
-            self.graph = graph_of(problem, method, mesh, mapping)
+            self.graph = ControlGraph(problem, method, mesh, mapping)
         self.numbering, self.joins = self.graph.numbering, self.graph.joins
         self.bounds = bounds_of(self.phases, self.joins, self.numbering)
         check_count(self.numbering, self.bounds)
@@ -203,11 +203,16 @@ class ControlTranscription:
         check_solver(solver)
         check_verbose(verbose)
         calculus = self.calculus if mesh is None else self._remeshed(mesh)
-        ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
+        given: dict[str, Any] = {
+            "start": start,
+            "end": end,
+            "start_velocity": start_velocity,
+            "end_velocity": end_velocity,
+        }
+        given |= {"parameters": parameters, "control_bounds": control_bounds}
+        given |= {"position_bounds": position_bounds, "velocity_bounds": velocity_bounds}
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
-        bounded = {"control_bounds": control_bounds, "position_bounds": position_bounds}
-        bounded["velocity_bounds"] = velocity_bounds
-        problem = self.problem.varied({**ends, "parameters": parameters, **bounded}, span)
+        problem = self.problem.varied(given, span)
 
         def attempt(by: Solver, at: Guess | None, longer: float = 1.0) -> Any:
             begun = self.starting_point(problem, calculus, at, longer)

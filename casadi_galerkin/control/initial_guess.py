@@ -171,15 +171,14 @@ def near_answer(guess: Any, numbering: Numbering, calculi: Sequence[DiscreteCalc
     phases = getattr(guess, "phases", ())
     if len(phases) != len(calculi) or [a.shape for a in guess.duals] != [(numbering.equations,), (numbering.unknowns,)]:
         return False
-    return all(map(_same_fractions, phases, numbering.chains, calculi))
-
-
-def _same_fractions(guess: ControlTrajectory, chain: Chain, calculus: DiscreteCalculus) -> bool:
-    if guess.method != calculus.method or guess.polynomial.values.shape != (chain.dimension, len(calculus.node_times)):
-        return False
-    now = calculus.mesh[[0, *chain.breaks, -1]].tolist()
-    joints = map_times(guess.t, section_times(guess.problem), now)
-    return bool(np.max(np.abs(joints - calculus.mesh)) <= SAME_FRACTION * (calculus.mesh[-1] - calculus.mesh[0]))
+    for one, chain, calculus in zip(phases, numbering.chains, calculi, strict=True):
+        mesh, shape = calculus.mesh, (chain.dimension, len(calculus.node_times))
+        if one.method != calculus.method or one.polynomial.values.shape != shape:
+            return False
+        joints = map_times(one.t, section_times(one.problem), mesh[[0, *chain.breaks, -1]].tolist())
+        if np.max(np.abs(joints - mesh)) > SAME_FRACTION * (mesh[-1] - mesh[0]):
+            return False
+    return True
 
 
 def _zero_or_middle(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:

@@ -27,7 +27,7 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
-from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph, graph_of
+from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph
 from casadi_galerkin.control.control_numbering import Numbering
 from casadi_galerkin.control.control_sensitivity import ControlSensitivity, sensitivity_of
 from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
@@ -63,7 +63,7 @@ class SecondOrder:
     graph: ControlGraph | None
 
     def _graph(self) -> ControlGraph:
-        return self.graph or graph_of(self.problem, self.method, self.mesh)
+        return self.graph or ControlGraph(self.problem, self.method, self.mesh)
 
     def remaining_error(self, phase: int | None = None) -> RemainingError:
         """Errors of path, durations and cost that the solver has left, in one phase or the largest of alike ones."""

@@ -128,9 +128,9 @@ def sections(problem: ControlProblem) -> list[ControlProblem]:
     times = [t for t in problem.breakpoints if free or t in events]
     if not times:
         return [problem]
-    d, stated, inner = problem.dimension, problem.end_conditions[0], dict[str, Any]()
+    d, stated = problem.dimension, problem.end_conditions[0]
     at_start, at_end = ("start", "start_velocity"), ("end", "end_velocity")
-    inner |= dict.fromkeys((*at_start, *at_end), (None,) * d)
+    inner: dict[str, Any] = dict.fromkeys((*at_start, *at_end), (None,) * d)
     inner |= dict.fromkeys(("terminal_cost", "initial_cost", "initial_time_bounds"))
     nothing = of_zeros("end_conditions", {stated.name_in(i): stated.size1_in(i) for i in range(stated.n_in())}, 0)
     inner |= {"start_bounds": bounds("start_bounds", None, d), "jumps": (), "limits_of_ends": [[], []]}

@@ -136,16 +136,13 @@ class PhasesTrajectory(Table, Pictured):
     def table(self) -> Columns:
         """The tables of the phases one after the other, with the number of the phase; what a phase has not is NaN."""
         tables = [path.table() for path in self.phases]
-        counts = [len(columns["t"]) for columns in tables]
-        return {
-            "phase": np.repeat(np.arange(len(tables)), counts),
-            **{
-                name: np.concatenate(
-                    [each.get(name, np.full(count, np.nan)) for each, count in zip(tables, counts, strict=True)]
-                )
-                for name in dict.fromkeys(name for each in tables for name in each)
-            },
-        }
+        missing = [np.full(len(columns["t"]), np.nan) for columns in tables]
+        names, columns = dict.fromkeys(name for each in tables for name in each), dict[str, np.ndarray]()
+        columns["phase"] = np.repeat(np.arange(len(tables)), [*map(len, missing)])
+        for name in names:
+            parts = [each.get(name, none) for each, none in zip(tables, missing, strict=True)]
+            columns[name] = np.concatenate(parts)
+        return columns
 
     def plot(self, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
         """Draw positions and controls of all phases, with gray lines between them; returns the axes of the positions.
@@ -168,7 +165,8 @@ class PhasesTrajectory(Table, Pictured):
             for path in self.phases[1:]:
                 axes.axvline(path.t[0], color="0.6", linewidth=0.8)
         handles, shown = top.get_legend_handles_labels()
-        top.legend(*zip(*dict(zip(shown, zip(handles, shown, strict=True), strict=True)).values(), strict=True))
+        named = dict(zip(shown, handles, strict=True))
+        top.legend(named.values(), named.keys())
         bottom.set(xlabel=time, ylabel="u")
         top.set_title(f"{counted(len(self.phases), 'phase')}: cost {self.cost:.6g}")
         return top
