@@ -127,13 +127,12 @@ class TwoComparisons:
     @cached_property
     def step_in_place(self) -> float:
         """Largest step of the integrand that no derivative shows, times duration over cost."""
-        return self.of_cost(np.max(self.path.between_points.steps_in_place.sizes) * np.ptp(self.path.t))
+        return self.of_cost(self.path.between_points.largest_step[0] * np.ptp(self.path.t))
 
     @property
     def step_time(self) -> float:
         """When it is."""
-        steps = self.path.between_points.steps_in_place
-        return float(steps.times[np.argmax(steps.sizes)])
+        return self.path.between_points.largest_step[1]
 
     def of_cost(self, change: float) -> float:
         """A change of the cost relative to its size; zero where the costs cannot be told from zero."""

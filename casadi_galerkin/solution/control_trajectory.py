@@ -512,10 +512,12 @@ class ControlTrajectory(Trajectory):
 
     def _stepping(self) -> list[str]:
         """A line on a step of a callable that the solver has not seen."""
-        sizes, times = self.between_points.steps_in_place.sizes, self.between_points.steps_in_place.times
-        if not np.max(sizes) * np.ptp(self.t) > COST_CHANGE * self.cost_size:
-            return []
-        return [f"  NOT RESOLVED: at t = {times[np.argmax(sizes)]:.6g} {STEP}"]
+        size, when = self.between_points.largest_step
+        return (
+            [f"  NOT RESOLVED: at t = {when:.6g} {STEP}"]
+            if size * np.ptp(self.t) > COST_CHANGE * self.cost_size
+            else []
+        )
 
     @cached_property
     def hamiltonian_variation(self) -> float:

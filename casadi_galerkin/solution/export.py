@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 Columns: TypeAlias = dict[str, np.ndarray]
 File: TypeAlias = str | PathLike[str]
@@ -29,38 +30,30 @@ class Table(ABC):
     """
 
     @abstractmethod
-    def table(self) -> Columns:
-        """The columns by name, (K,) each, of numbers or strings."""
+    def table(self, *args: Any, **kwargs: Any) -> Columns:
+        """The columns by name, (K,) each, of numbers or strings; of a path at times, if these are given."""
 
-    def to_dict(self) -> dict[str, list[Any]]:
-        """The columns by name as lists of Python's own numbers and strings, such as JSON and pandas take."""
-        return as_lists(self.table())
+    def to_dict(self, times: ArrayLike | None = None) -> dict[str, list[Any]]:
+        """The `table`, of a path at times (K,), as lists of Python's own numbers, such as JSON and pandas take."""
+        columns = self.table() if times is None else self.table(times)
+        return {name: column.tolist() for name, column in columns.items()}
 
-    def to_csv(self, file: File) -> None:
-        """Write the columns to a file of comma-separated values, under a line of their names, with all digits."""
-        write_csv(file, self.table())
+    def to_csv(self, file: File, times: ArrayLike | None = None) -> None:
+        """Write the `table`, of a path at times (K,), to a file of comma-separated values, with all digits."""
+        columns = self.to_dict(times)
+        with file_path(file).open("w", newline="", encoding="utf-8") as opened:
+            writer = csv.writer(opened)
+            writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
 
-    def to_npz(self, file: File) -> None:
-        """Write the columns to an archive that ``numpy.load`` reads by their names."""
-        write_npz(file, self.table())
+    def to_npz(self, file: File, times: ArrayLike | None = None) -> None:
+        """Write the `table`, of a path at times (K,), to an archive of arrays by name; `load` reads the path again."""
+        arrays: dict[str, Any] = (self.table() if times is None else self.table(times)) | self._arrays()
+        np.savez(file_path(file), **arrays)
 
-
-def as_lists(columns: Columns) -> dict[str, list[Any]]:
-    """Columns as lists."""
-    return {name: column.tolist() for name, column in columns.items()}
-
-
-def write_csv(file: File, columns: Columns) -> None:
-    """Write columns as comma-separated values."""
-    with file_path(file).open("w", newline="", encoding="utf-8") as opened:
-        writer = csv.writer(opened)
-        writer.writerow(columns)
-        writer.writerows(zip(*as_lists(columns).values(), strict=True))
-
-
-def write_npz(file: File, arrays: dict[str, Any]) -> None:
-    """Write arrays to an archive."""
-    np.savez(file_path(file), **arrays)
+    def _arrays(self) -> Columns:
+        """What `load` makes a path of."""
+        return {}
 
 
 def file_path(file: File) -> Path:

@@ -14,17 +14,17 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import checked_index, counted, finite, real_array, spanned, whole, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_within
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.export import (
-    Columns,
-    File,
-    Table,
-    as_lists,
-    by_component,
-    file_path,
-    write_csv,
-    write_npz,
+from casadi_galerkin.solution.export import Columns, File, Table, by_component, file_path
+from casadi_galerkin.solution.plotting import (
+    COLORS,
+    Pictured,
+    axes_or_new,
+    component_names,
+    legend_below,
+    plot_path,
+    plot_plane,
+    plot_poses,
 )
-from casadi_galerkin.solution.plotting import Pictured, plot_family, plot_path, plot_plane, plot_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,20 +70,7 @@ class Path(Table, Pictured):
         t = np.atleast_1d(times_within(self.t, self._dense_times if times is None else times)).ravel()
         return {"t": t, **by_component("x", self(t))}
 
-    def to_dict(self, times: ArrayLike | None = None) -> dict[str, list[Any]]:
-        """The `table` at times (K,) as lists of Python's own numbers, such as JSON and pandas take."""
-        return as_lists(self.table(times))
-
-    def to_csv(self, file: File, times: ArrayLike | None = None) -> None:
-        """Write the `table` at times (K,) to a file of comma-separated values, with all digits."""
-        write_csv(file, self.table(times))
-
-    def to_npz(self, file: File, times: ArrayLike | None = None) -> None:
-        """Write the `table` at times (K,) to an archive of arrays by name, and what `load` makes the path of."""
-        write_npz(file, self.table(times) | self._arrays())
-
-    def _arrays(self) -> dict[str, np.ndarray]:
-        """What `load` makes the path of."""
+    def _arrays(self) -> Columns:
         return of_parts("polynomial", vars(self.polynomial), ("mesh", "nodes", "values", "arrivals"))
 
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
@@ -239,11 +226,16 @@ def plot_component(
     paths: Sequence[tuple[str, Path]], component: int, axes: Axes | None, labels: Sequence[str] | None, time: str
 ) -> Axes:
     """Draw one component of several paths, given with their names."""
-    lines = []
-    for name, path in paths:
-        times, values = path.polynomial.line(path._dense_times)
-        lines.append((name, times, values[checked_index("component", component, len(values))]))
-    return plot_family(lines, axes, f"x[{component}]" if labels is None else labels, time)
+    lines = [path.polynomial.line(path._dense_times) for _, path in paths]
+    chosen = [(t, values[checked_index("component", component, len(values))]) for t, values in lines]
+    (heading,) = component_names("x", 1, f"x[{component}]" if labels is None else labels)
+    axes = axes_or_new(axes)
+    for i, line in enumerate(chosen):
+        axes.plot(*line, color=COLORS[i % len(COLORS)], label=paths[i][0])
+    axes.set(xlabel=time, ylabel=heading)
+    if 0 < len(paths) <= len(COLORS):
+        legend_below(axes)
+    return axes
 
 
 def of_parts(kind: str, given: Mapping[str, Any], names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -6,14 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from html import escape
 from io import StringIO
-from itertools import cycle, groupby
+from itertools import groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.calculus.roundoff import TINY, ZERO
+from casadi_galerkin.calculus.roundoff import TINY
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -113,20 +113,6 @@ def plot_path(
     return axes
 
 
-def plot_family(
-    lines: Sequence[tuple[str, np.ndarray, np.ndarray]], axes: Axes | None, labels: Sequence[str], time: str
-) -> Axes:
-    """Draw one component of several paths; `lines` are their names, times (K,) and values (K,)."""
-    (heading,) = component_names("x", 1, labels)
-    axes = axes_or_new(axes)
-    for i, (name, times, values) in enumerate(lines):
-        axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
-    axes.set(xlabel=time, ylabel=heading)
-    if 0 < len(lines) <= len(COLORS):
-        legend_below(axes)
-    return axes
-
-
 def legend_below(axes: Axes, **options: Any) -> None:
     """Put the legend of many or long entries under the axes, where it hides nothing and takes no width."""
     axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.18), **options)
@@ -183,22 +169,6 @@ def draw_multipliers(axes: Axes, times: np.ndarray, values: np.ndarray) -> None:
         right.plot(times, line, ":", color=COLORS[i % len(COLORS)])
     right.set_ylabel("multiplier μ")
     right.grid(False)
-
-
-def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None, time: str) -> Axes:
-    """Draw on a logarithmic scale how far paths are from a reference, (N + 1,) by name.
-
-    Values that are zero, or too large for a logarithmic axis, are left out, and what has no others.
-    """
-    axes = axes_or_new(axes)
-    for color, (name, gap) in zip(cycle(COLORS), gaps.items(), strict=False):
-        shown = (gap > 0) & (gap < 1 / ZERO)
-        if np.any(shown):
-            axes.plot(times[shown], gap[shown], ".-", markersize=3, color=color, label=name)
-    axes.set(yscale="log", xlabel=time, ylabel="relative gap to the global path")
-    if axes.lines:
-        axes.legend(fontsize="small")
-    return axes
 
 
 def plot_branches(

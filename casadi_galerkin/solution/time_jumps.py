@@ -19,7 +19,6 @@ controls and multipliers fixed, are another matter: no derivative tells the solv
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -50,22 +49,6 @@ def integrand(problem: ControlProblem) -> ca.Function:
     return ca.Function("integrand", [*point, costate, rate, multipliers], [*map(ca.densify, found)])
 
 
-def jumps_in_time(function: ca.Function, mesh: np.ndarray, rule: Quadrature, z: Sequence[np.ndarray]) -> np.ndarray:
-    """Largest change of the cost by jumps of an `integrand` in time inside of each interval, (N,).
-
-    Parameters
-    ----------
-    function : (t, z) -> I, ∂I/∂t and others
-    mesh : (N + 1,)
-    rule : of quadrature, whose points have the parts
-    z : values at the points, (rows, N r) each
-    """
-    detector = JumpDetector(mesh, rule)
-    given = [np.repeat(a, len(detector.parts) // len(rule), axis=1) for a in z]
-    values, rates, *_ = at_places(function, detector.times, *given)
-    return detector.jump_effects(values[0], rates[0])
-
-
 def _callables(problem: ControlProblem) -> list[ca.Function]:
     """The Functions along the path; the parameters are the last argument of each."""
     return [problem.lagrangian, *problem.along]
@@ -87,28 +70,17 @@ def moving_phases(problem: ControlProblem) -> np.ndarray:
     return free | any(entries_within(f, f.n_in() - 1, STEPPING) for f in _callables(problem))
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Largest steps that the solver does not see, on every interval; (N,) each.
-
-    Attributes
-    ----------
-    sizes, times : of I, and when
-    """
-
-    sizes: np.ndarray
-    times: np.ndarray
-
-
-def steps_in_place(
+def largest_step(
     function: ca.Function, path: PiecewisePolynomial, rule: Quadrature, z: Sequence[np.ndarray], moving: np.ndarray
-) -> Steps:
-    """Steps of an `integrand` as x and v move along a path, and of those in time the ones that move with it.
+) -> tuple[float, float]:
+    """Largest step of an `integrand` as x and v move along a path, or in time where it moves with it, and when.
 
     Parameters
     ----------
-    function, rule, z : as for `jumps_in_time`
+    function : (t, z) -> I and others
     path : x
+    rule : of quadrature, whose points have the parts
+    z : values at the points, (rows, N r) each
     moving : (N,), where times, or steps in time, move with what is optimized
     """
     r, joints, steps = len(rule), path.mesh[1:-1], np.diff(path.mesh)
@@ -117,13 +89,10 @@ def steps_in_place(
     early, late = np.append(times[:, :, 0], joints - near), np.append(times[:, :, -1], joints + near)
     along, in_time, when = _steps(_followed(function), path, early, late, [np.hstack((a, a[:, r::r])) for a in z[2:]])
     moves = np.append(np.repeat(moving, r), moving[:-1])
-    inside, at_joints = np.split(np.where(moves | (in_time <= along / 2), along, 0.0), [len(steps) * r])
-    at_joints[path.jumps - 1] = 0.0
-    largest = np.arange(0, len(inside), r) + np.argmax(inside.reshape(-1, r), axis=1)
-    sizes, instants = inside[largest], when[largest]
-    instants[1:] = np.where(at_joints > sizes[1:], joints, instants[1:])
-    sizes[1:] = np.maximum(sizes[1:], at_joints)
-    return Steps(sizes, instants)
+    sizes, inside = np.where(moves | (in_time <= along / 2), along, 0.0), len(steps) * r
+    sizes[inside + path.jumps - 1] = 0.0
+    largest = int(np.argmax(sizes))
+    return float(sizes[largest]), float(np.append(when[:inside], joints)[largest])
 
 
 def _steps(

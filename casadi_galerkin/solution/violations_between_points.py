@@ -21,7 +21,8 @@ from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_path import ControlPath, finer_rule
-from casadi_galerkin.solution.time_jumps import Steps, integrand, jumps_in_time, may_step, moving_phases, steps_in_place
+from casadi_galerkin.solution.jump_detection import JumpDetector
+from casadi_galerkin.solution.time_jumps import integrand, largest_step, may_step, moving_phases
 from casadi_galerkin.solution.trajectory import Trajectory
 
 # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
@@ -201,14 +202,17 @@ class BetweenPoints:
         joints, rule = self.path.t, self.path.method.quadrature
         if self.problem.autonomous:
             return np.zeros(len(joints) - 1)
-        return jumps_in_time(self.integrand, joints, rule, self.along(np.array(rule.points))[1:])
+        detector = JumpDetector(joints, rule)
+        z = [np.repeat(a, len(detector.parts) // len(rule), axis=1) for a in self.along(np.array(rule.points))[1:]]
+        values, rates, *_ = at_places(self.integrand, detector.times, *z)
+        return detector.jump_effects(values[0], rates[0])
 
     @cached_property
-    def steps_in_place(self) -> Steps:
-        """Largest steps of the integrand that no derivative shows, on each interval."""
+    def largest_step(self) -> tuple[float, float]:
+        """The largest step of the integrand that no derivative shows, and its time."""
         problem, joints, rule = self.problem, self.path.t, self.path.method.quadrature
         if not may_step(problem):
-            return Steps(np.zeros(len(joints) - 1), joints[:-1])
+            return 0.0, float(joints[0])
         moving = moving_phases(problem)[np.searchsorted(problem.breakpoints, joints[:-1], side="right")]
         z = self.along(np.array(rule.points))[1:]
-        return steps_in_place(self.integrand, self.path.polynomial, rule, z, moving)
+        return largest_step(self.integrand, self.path.polynomial, rule, z, moving)

@@ -26,13 +26,13 @@ from casadi_galerkin._solve import solve
 from casadi_galerkin.boundary.sensitivity import at_joints
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import counted, spanned
-from casadi_galerkin.calculus.roundoff import EPS, component_sizes
+from casadi_galerkin.calculus.roundoff import EPS, ZERO, component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
-from casadi_galerkin.solution.plotting import Pictured, plot_gaps
+from casadi_galerkin.solution.plotting import COLORS, Pictured, axes_or_new
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
 from casadi_galerkin.stepping.shooting import check_start, shoot
@@ -134,7 +134,7 @@ class Comparison(Table, Pictured):
         return "is between roundoff and a tenth at too few joints to tell how it grows"
 
     def plot(self, axes: Axes | None = None, time: str = "t") -> Axes:
-        """Draw the gaps over time, logarithmic; returns the Matplotlib axes.
+        """Draw the gaps over time, logarithmic, without those that are zero or too large; returns the Matplotlib axes.
 
         Parameters
         ----------
@@ -142,8 +142,16 @@ class Comparison(Table, Pictured):
         time : name of the time with its unit, such as "t in s"
         """
         ways = {"stepped from the global start": self.stepped, "shooting": self.shooting}
-        gaps = {name + (" (failed)" if way.path is None else ""): way.gap for name, way in ways.items()}
-        return plot_gaps(self.global_path.t, gaps, axes, time)
+        axes = axes_or_new(axes)
+        for color, (name, way) in zip(COLORS, ways.items(), strict=False):
+            shown = (way.gap > 0) & (way.gap < 1 / ZERO)
+            if np.any(shown):
+                label = name + (" (failed)" if way.path is None else "")
+                axes.plot(self.global_path.t[shown], way.gap[shown], ".-", markersize=3, color=color, label=label)
+        axes.set(yscale="log", xlabel=time, ylabel="relative gap to the global path")
+        if axes.lines:
+            axes.legend(fontsize="small")
+        return axes
 
 
 def compare(

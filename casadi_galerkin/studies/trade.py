@@ -37,13 +37,13 @@ from casadi_galerkin.studies.parallel import picklable_problem
 from casadi_galerkin.studies.reference import AnyProblem, Reference, ReferenceSolution, check_reference, finest
 from casadi_galerkin.studies.trade_table import Row, Trade, name_of
 
-FIRST_CALLS, REPEATS, LONG = 2, 15, 0.03  # first and repeated solves of a way; no repeats after so many seconds
+FIRST_CALLS, LONG = 2, 0.03  # first solves of a way; seconds for which another is repeated
 
 
-def _timed(solve: Callable[[], Trajectory], count: int, longest: float) -> tuple[Trajectory, float]:
-    """The path of a solve, and the fewest seconds of some calls; noise only adds to them."""
+def _timed(solve: Callable[[], Trajectory], longest: float = 0.0) -> tuple[Trajectory, float]:
+    """The path of a solve, and the fewest seconds of one call or, as noise only adds, of all in the longest time."""
     calls: list[float] = []
-    while len(calls) < count and sum(calls) <= longest:
+    while not calls or sum(calls) <= longest:
         began = time.perf_counter()
         path = solve()
         calls.append(time.perf_counter() - began)
@@ -58,15 +58,15 @@ def _measured(
     A second first time finds CasADi's plugins loaded.
     """
     try:
-        fresh = iter([pickle.loads(written)[0] for _ in range(FIRST_CALLS)])  # a deep copy would share its Functions
-        path, first = _timed(lambda: row.solve(next(fresh), guess), FIRST_CALLS, np.inf)
+        for _ in range(FIRST_CALLS):  # of a deep copy Functions would be shared
+            path, first = _timed(partial(row.solve, pickle.loads(written)[0], guess))
         again: Callable[[], Trajectory] = partial(row.solve, problem, guess)
         if row.method is not None and row.solver is not None:  # a global solve, on a graph that is built
             assert not isinstance(problem, InitialProblem)
             graph = transcribe(problem, row.method, row.intervals if row.mesh is None else None, mesh=row.mesh)
             again = partial(graph.solve, guess=guess, solver=row.solver)
             again()
-        _, seconds = _timed(again, REPEATS, LONG)
+        _, seconds = _timed(again, LONG)
         if of is not None:
             quantity(of, path)
     except (RuntimeError, ValueError) as failure:  # a ConvergenceError is a RuntimeError, and so is what CasADi raises
