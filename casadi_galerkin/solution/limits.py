@@ -43,9 +43,9 @@ class Limits:
                 raise ValueError(f"the limit of {name} must be a whole number or inf, got {value!r}")
 
 
-def check_tolerance(tol: float, name: str = "tol") -> float:
+def check_tolerance(tol: float) -> float:
     """Refuse a relative tolerance that is not between 0 and 1."""
     checked = number(tol)
     if checked is None or not 0 < checked < 1:
-        raise ValueError(f"{name} must be a number between 0 and 1, got {tol!r}")
+        raise ValueError(f"tol must be a number between 0 and 1, got {tol!r}")
     return checked

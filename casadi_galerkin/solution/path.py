@@ -23,7 +23,6 @@ from casadi_galerkin.solution.plotting import (
     legend_below,
     plot_path,
     plot_plane,
-    plot_poses,
 )
 
 if TYPE_CHECKING:
@@ -139,7 +138,12 @@ class Path(Table, Pictured):
         poses = self._places(points, np.linspace(self.t[0], self.t[-1], whole_number("count", count)))
         poses[:, 0] += finite("apart", apart) * np.arange(count)
         trail = np.empty((2, 0)) if apart else self._places(points, self.fine_times)[-1]
-        return plot_poses(poses, trail, axes)
+        axes = axes_or_new(axes)
+        axes.plot(*trail, color=COLORS[5], linewidth=0.8, zorder=1)
+        for k, shade in enumerate(np.linspace(0.2, 1.0, count)):
+            axes.plot(*poses[:, :, k].T, "o-", color=COLORS[0], alpha=shade, markersize=3, linewidth=1.5)
+        axes.set_aspect("equal")
+        return axes
 
     def _places(self, points: Callable[[np.ndarray], ArrayLike], times: np.ndarray) -> np.ndarray:
         """Positions of the ends of the bars of a mechanism at times (K,); (n, 2, K)."""

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 # M. Okabe and K. Ito's palette, told apart by color-blind readers
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-GRID = "0.92"  # gray that leaves the lines in front
 MOST_DOTS = 200  # joints beyond which their dots would hide the line
 
 Line: TypeAlias = tuple[np.ndarray, np.ndarray]  # times (K,) and values (d, K)
@@ -52,7 +51,7 @@ def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] | None = N
     drawn = plt.subplots(rows, columns, figsize=size, layout="constrained", **options)[1]
     for axes in np.ravel(drawn):  # the style is theirs; a figure made in ``rc_context`` undoes what its backend sets up
         axes.set_prop_cycle(color=COLORS)
-        axes.grid(True, color=GRID)
+        axes.grid(True, color="0.92")
         axes.set_axisbelow(True)
     return drawn
 
@@ -130,18 +129,6 @@ def plot_plane(
     if joints.shape[1] <= MOST_DOTS:
         axes.plot(*joints, ".", color=line.get_color())
     axes.set(xlabel=names[0], ylabel=names[1])
-    return axes
-
-
-def plot_poses(points: np.ndarray, trail: np.ndarray, axes: Axes | None) -> Axes:
-    """Draw a chain of bars through points (n, 2, K) at K instants, from light to dark; a line through (2, M) behind."""
-    axes = axes_or_new(axes)
-    axes.plot(*trail, color=COLORS[5], linewidth=0.8, zorder=1)
-    count = points.shape[2]
-    for k in range(count):
-        shade = 0.2 + 0.8 * k / max(count - 1, 1)
-        axes.plot(*points[:, :, k].T, "o-", color=COLORS[0], alpha=shade, markersize=3, linewidth=1.5)
-    axes.set_aspect("equal")
     return axes
 
 
@@ -254,9 +241,6 @@ def animate_linkage(
     return FuncAnimation(drawn, frame, frames=len(times), interval=1000 * interval)
 
 
-LOOKS = {"color": COLORS, "marker": ("o", "s", "^", "D", "v", "P", "*")}
-
-
 def plot_work_precision(
     lines: Sequence[tuple[Sequence[str], Points]], front: Points, floor: float, label: str, axes: Axes | None
 ) -> Axes:
@@ -276,7 +260,7 @@ def plot_work_precision(
     entries: list[Artist] = [draw(front, label="the front", color="0.85", linewidth=7, zorder=0)]
     entries.append(axes.axhspan(floor / 10, floor, color="0.93", zorder=-1, label="rounding, or the reference's error"))
     chosen: list[dict[str, dict[str, Any]]] = []
-    for k, (style, values) in enumerate(LOOKS.items()):
+    for k, (style, values) in enumerate((("color", COLORS), ("marker", "os^DvP*"))):
         names = dict.fromkeys(key[k] for key, _ in lines)
         chosen.append({name: {style: values[i % len(values)]} for i, name in enumerate(names)})
         if k == 0 or len([name for name in names if name]) > 1:  # a single solver is not named

@@ -164,7 +164,7 @@ class Trajectory(Path):
         """The path with a quantity `asked`, and its error."""
         value, change, size = self._known(of)
         asked = value if value.ndim else value.item()
-        return self.amended(asked=asked, asked_error=float(np.max(change)) / (size or 1.0))
+        return self.amended(asked=asked, asked_error=float(np.max(change)) / size)
 
     def amended(self: Answer, **changes: Any) -> Answer:
         """The same path with another report, and all that has been computed of it."""
@@ -424,20 +424,17 @@ class Trajectory(Path):
         least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
         return f"no Morse index{least}"
 
-    def _energy_balance(self) -> str:
-        """The violation of the balance of energy, in words."""
-        violation = float(np.max(self._indicators[0]))
-        return f"{violation:.1e} of its terms" if violation > 0 else "rounding"
-
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
+        violation = float(np.max(self._indicators[0]))
+        balance = f"{violation:.1e} of its terms" if violation > 0 else "rounding"
         return "\n".join(
             [
                 f"Trajectory of {counted(len(self.x), 'component')} on {spanned(self.t)}, "
                 f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {self._kind()}",
-                f"  energy      {self.energy[0]:.12g} at the start, its balance kept to {self._energy_balance()}",
+                f"  energy      {self.energy[0]:.12g} at the start, its balance kept to {balance}",
                 *self._asked(),
                 *self._accuracy(),
                 f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, "

@@ -5,7 +5,7 @@ The reference is solved for to a tolerance below which there is little left to g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -74,7 +74,8 @@ class ReferenceSolution:
 
     def errors(self, path: Trajectory) -> dict[str, Any]:
         """Errors of a path by their names in a `Row`, all relative."""
-        marks, joints, times = _marks(path.problem), self._matching(path, path.t), _between(path)
+        marks, joints = _marks(path.problem), self._matching(path, path.t)
+        times = np.setdiff1d(path.fine_times, path.t)  # velocities may jump at the joints
         sizes, own = self._path.sizes[:, None], _marks(self._path.problem)
         joint_error = np.max(np.abs(path.x - self._at(joints)) / sizes)
         between_error = np.max(np.abs(path(times) - self._at(self._matching(path, times))) / sizes)
@@ -91,19 +92,13 @@ class ReferenceSolution:
         return map_times(times, _marks(path.problem), _marks(self._path.problem))
 
 
-def _between(path: Trajectory) -> np.ndarray:
-    """Times between the joints, where velocities may jump, at which errors are taken."""
-    return np.setdiff1d(path.fine_times, path.t)
-
-
 def _marks(problem: Problem) -> list[float]:
     """Times of the ends, and of the breakpoints that mean the same on every path; idle free ones may be anywhere."""
     return section_times(with_joined_phases(problem) if isinstance(problem, ControlProblem) else problem)
 
 
-def finest(problem: AnyProblem, paths: Sequence[Trajectory]) -> Trajectory:
-    """A path several digits finer than the given ones, with its estimated error."""
-    best = max(paths, key=lambda path: path.polynomial.values.size)
+def finest(problem: AnyProblem, best: Trajectory) -> Trajectory:
+    """A path several digits finer than the best one that is known, with its estimated error."""
     tol = TIGHT_OPTIMUM if isinstance(problem, ControlProblem) else TIGHT
     try:
         return solve(problem, tol=tol, guess=None if isinstance(problem, InitialProblem) else best)

@@ -45,8 +45,6 @@ from casadi_galerkin.studies.sweep_file import CutShort, SweepFile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FIELDS = (*VARIED, "t_span", "guess")
-
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Sweep(Table, Pictured):
@@ -298,10 +296,11 @@ def sweep(
 
 def _checked(problem: Stated, number: int, variation: Variation) -> tuple[Variation, Stated]:
     """Check one variation against the problem; returns it with checked values, and its problem."""
-    allowed = ", ".join(name for name in FIELDS if name not in VARIED or hasattr(problem, name))
+    fields = (*VARIED, "t_span", "guess")
+    allowed = ", ".join(name for name in fields if name not in VARIED or hasattr(problem, name))
     if not isinstance(variation, Mapping):
         raise TypeError(f"variation {number} must be a dict of {allowed}, got {variation!r}")
-    unknown = [key for key in variation if key not in FIELDS]
+    unknown = [key for key in variation if key not in fields]
     if unknown:
         raise ValueError(f"variation {number} has {unknown[0]!r}; what can be varied is {allowed}")
     checked = dict(variation)

@@ -228,13 +228,10 @@ def _truth(
     if isinstance(given, Trajectory):
         known = given.error_estimate or 0.0
         return ReferenceSolution(given, of), "given" + (f", own error {known:.1e}" if known else ""), known
+    best = max(paths, key=lambda path: path.polynomial.values.size)
     if given is not None:
-        finest_row = max(paths, key=lambda path: path.polynomial.values.size)
-        return ReferenceSolution(finest_row, of, given), "given", 0.0
-    fine = finest(problem, paths)
+        return ReferenceSolution(best, of, given), "given", 0.0
+    fine = finest(problem, best)
     own = fine.estimate_error() if of is None else float(np.max(fine.error_of(of))) / size_of(quantity(of, fine))
-    return (
-        ReferenceSolution(fine, of),
-        f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}",
-        own,
-    )
+    words = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}"
+    return ReferenceSolution(fine, of), words, own

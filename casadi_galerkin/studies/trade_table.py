@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 LEAST_ERROR = 64 * EPS  # errors below cannot be told from rounding
 PLATEAU_FACTOR = 30.0  # errors below so many times the floor take no part in the fit of an order
-MOST_SHOWN = 40  # rows of a table; of more, only those of the front are shown
-HEADS = ("*", "method", "intervals", "solved by", "unknowns", "first/ms", "solve/ms", "iterations", "path", "at joints")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -232,18 +230,15 @@ class Trade(Table, Pictured):
         return f"Trade of {counted(len(self.rows), 'row')}, {ways} to solve; reference: {self.reference}"
 
     def __str__(self) -> str:
-        """Readable table; the front is marked with a star, and of many rows shown alone."""
+        """Readable table; the front is marked with a star."""
         front, named = self.front(), self.quantity is not None
-        shown = self.rows if len(self.rows) <= MOST_SHOWN else front
-        table = [[*HEADS, *(["error"] if named else [])], *(_cells(row, row in front, named) for row in shown)]
-        widths = [max(len(cells[k]) for cells in table if len(cells) > len(HEADS) - 2) for k in range(len(table[0]))]
+        heads = "*,method,intervals,solved by,unknowns,first/ms,solve/ms,iterations,path,at joints"
+        table = [(heads + named * ",error").split(","), *(_cells(row, row in front, named) for row in self.rows)]
+        widths = [max(len(cells[k]) for cells in table if len(cells) == len(table[0])) for k in range(len(table[0]))]
         lines = ["  ".join(map(str.ljust, cells, widths)).rstrip() for cells in table]
         lines += [f"reference: {self.reference}", "*: no other row is both faster when repeated and more accurate"]
         if named:
             lines.insert(-1, f"error: of {self.quantity}")
-        if len(shown) < len(self.rows):
-            failed = sum(row.failure is not None for row in self.rows)
-            lines[-1] += f"; the other {len(self.rows) - len(shown)} rows are left out, {failed} of them failed"
         return "\n".join(lines)
 
 

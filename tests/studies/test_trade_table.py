@@ -66,14 +66,6 @@ def test_table_holds_every_row_and_the_reference(measured):
     assert table["degree"] == [row.method.degree for row in measured.rows]
 
 
-def test_many_rows_are_shown_by_their_front_and_failures():
-    rows = [row(1.0 + k, 1e-3 / (1 + k % 5)) for k in range(60)]
-    failed = [Row(cg.Galerkin(2), 5, cg.rootfinder, failure="no path")] * 3
-    text = str(cg.Trade((*rows, *failed), "given"))
-    assert [line.startswith("*  degree") for line in text.splitlines()].count(True) == 5
-    assert "the other 58 rows are left out, 3 of them failed" in text
-
-
 @pytest.mark.parametrize("tol", [np.nan, "1e-3"])
 def test_cheapest_refuses_what_is_no_number(tol):
     with pytest.raises(ValueError, match="tol must be a finite number, got"):
