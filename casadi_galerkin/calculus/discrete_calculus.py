@@ -169,13 +169,13 @@ def mesh_of(
     """
     if (intervals is None) == (mesh is None):
         raise ValueError(f"give either intervals or mesh, got intervals={intervals!r} and mesh={mesh!r}")
+    marks = np.array([t_span[0], *breakpoints, t_span[1]])
     if isinstance(intervals, (tuple, list)):
-        marks, counts = [t_span[0], *breakpoints, t_span[1]], [whole_number("intervals", count) for count in intervals]
+        counts = [whole_number("intervals", count) for count in intervals]
         if len(counts) != len(breakpoints) + 1:
             sections = counted(len(breakpoints) + 1, "section")
             raise ValueError(f"intervals must be a number, or one for each of {sections}, got {intervals!r}")
-        parts = [np.linspace(*ends, count, endpoint=False) for ends, count in zip(pairwise(marks), counts, strict=True)]
-        return time_scale(np.append(np.concatenate(parts), t_span[1]))
+        return time_scale(_between(marks, counts))
     if mesh is None:
         count = whole_number("intervals", intervals)
         if count <= len(breakpoints):
@@ -183,7 +183,7 @@ def mesh_of(
                 f"intervals must be at least {1 + len(breakpoints)}, as {counted(len(breakpoints), 'breakpoint')} "
                 f"{'is a joint' if len(breakpoints) == 1 else 'are joints'}, got {count}"
             )
-        return time_scale(spread_between(np.array([t_span[0], *breakpoints, t_span[1]]), count))
+        return time_scale(spread_between(marks, count))
     joints = time_scale(mesh)
     if (joints[0], joints[-1]) != t_span:
         raise ValueError(f"the mesh must run from {t_span[0]} to {t_span[1]}, got {joints[0]} to {joints[-1]}")
@@ -215,10 +215,13 @@ def spread_between(marks: np.ndarray, intervals: int) -> np.ndarray:
 
     Intervals are added one by one, each between the two marks where they are longest.
     """
-    if len(marks) == 2:
-        return np.linspace(marks[0], marks[1], intervals + 1)
     counts = np.ones(len(marks) - 1, dtype=int)
     for _ in range(intervals - len(counts)):
         counts[np.argmax(np.diff(marks) / counts)] += 1
-    parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(marks, marks[1:], counts, strict=False)]
+    return _between(marks, counts.tolist())
+
+
+def _between(marks: np.ndarray, counts: list[int]) -> np.ndarray:
+    """Joints with so many equal intervals between any two marks."""
+    parts = [np.linspace(*ends, n, endpoint=False) for ends, n in zip(pairwise(marks), counts, strict=True)]
     return np.append(np.concatenate(parts), marks[-1])

@@ -17,24 +17,12 @@ import numpy as np
 
 from casadi_galerkin.calculus.numbers import OneOrMore, components, counted, flag
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
+from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.callables import Traceable, depends_on_time, with_multipliers
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.expressions import pattern, too_many
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, with_values
-from casadi_galerkin.problems.statements import (
-    function,
-    integrals,
-    lagrangian,
-    number,
-    optional,
-    parameters,
-    span,
-    switch,
-    times,
-    vector,
-    vector_or_nothing,
-)
 
 Given = tuple[float | None, ...]
 
@@ -142,23 +130,22 @@ def _integrals(problem: BoundaryProblem) -> Iterator[str]:
 
 
 STATEMENTS = {
-    "start": vector,
-    "end": vector_or_nothing,
-    "parameters": parameters,
-    "periodic": switch,
-    "t_span": span,
-    "integral_conditions": integrals,
-    "lagrangian": lagrangian,
-    "breakpoints": times,
-    "force": function("t x v", "x"),
-    "constraint": function("t x", "any"),
-    **dict.fromkeys(END_MOTIONS, vector_or_nothing),
-    "end_action": function("x0 x1", "scalar"),
-    "end_conditions": function("x0 x1", "any"),
-    "energy": optional(number),
+    "start": statements.vector,
+    "end": statements.vector_or_nothing,
+    "parameters": statements.parameters,
+    "periodic": statements.switch,
+    "t_span": statements.span,
+    "integral_conditions": statements.integrals,
+    "lagrangian": statements.lagrangian,
+    "breakpoints": statements.times,
+    "force": statements.function("t x v", "x"),
+    "constraint": statements.function("t x", "any"),
+    **dict.fromkeys(END_MOTIONS, statements.vector_or_nothing),
+    "end_action": statements.function("x0 x1", "scalar"),
+    "end_conditions": statements.function("x0 x1", "any"),
+    "energy": statements.optional(statements.number),
 }
 RULES = _ends, _twice_given, _functions_of_ends, impossible_constraint, _energy, _integrals
-RULES_OF_VALUES = (constraint_at_ends,)
 
 
 @dataclass(frozen=True, repr=False)
@@ -206,14 +193,9 @@ class BoundaryProblem(Problem):
     1
     """
 
-    lagrangian: ca.Function
-    t_span: tuple[float, float]
     start: Given
     end: Given
-    parameters: tuple[float, ...] | None
     periodic: bool
-    force: ca.Function | None
-    constraint: ca.Function | None
     start_velocity: Given
     end_velocity: Given
     start_momentum: Given
@@ -222,8 +204,7 @@ class BoundaryProblem(Problem):
     end_conditions: ca.Function | None
     integral_conditions: tuple[ca.Function, tuple[float, ...]] | None
     energy: float | None
-    breakpoints: tuple[float, ...]
-    statements, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, RULES_OF_VALUES, (singular_mass,)
+    readers, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, (constraint_at_ends,), (singular_mass,)
 
     def __init__(
         self,

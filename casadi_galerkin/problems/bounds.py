@@ -50,17 +50,6 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
     return tuple(low.tolist()), tuple(high.tolist())
 
 
-def bounds_with_room(name: str, value: Any, size: int) -> Bounds:
-    """The same, of values that are not all fixed, as by a pair for each of two components in place of (lo, hi)."""
-    low, high = bounds(name, value, size)
-    if size > 1 and low == high:
-        raise ValueError(
-            f"{name} must be (lo, hi), each a number or {size} numbers, not a pair for each component: "
-            f"{value!r} leaves nothing free"
-        )
-    return low, high
-
-
 def bound_excess(values: np.ndarray, low: ArrayLike, high: ArrayLike) -> np.ndarray:
     """By how much values (n, ...) leave their bounds (n,); zero within."""
     least, most = (np.reshape(side, (-1, *[1] * (values.ndim - 1))) for side in (low, high))

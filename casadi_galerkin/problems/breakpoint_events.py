@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted, finite, number
-from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, keeps_to
+from casadi_galerkin.problems.bounds import Limit, Limited, bounds, keeps_to
 from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.statements import VELOCITIES, Made, Reader, dimension, lengths, limited
 
@@ -50,23 +50,16 @@ def _waypoint(place: Any, made: Made) -> Pairs | Limited:
     """Bounds (lo, hi) of all positions, which must meet those of the problem, or (g, lo, hi)."""
     if is_limited(place):
         return limited("x v")("waypoint", place, made)
-    return _positions(place, made["position_bounds"])
-
-
-def _positions(positions: Any, within: Bounds) -> Pairs:
-    """Bounds of the positions at a waypoint."""
-    dimension = len(within[0])
-    if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
+    within = made["position_bounds"]
+    if not isinstance(place, (tuple, list, np.ndarray)) or len(place) != len(within[0]):
         raise ValueError(
-            f"waypoint must have {counted(dimension, 'position')}, each a number, a pair or None, or be (g, lo, hi), "
-            f"got {positions!r}"
+            f"waypoint must have {counted(len(within[0]), 'position')}, each a number, a pair or None, or be "
+            f"(g, lo, hi), got {place!r}"
         )
-    pairs = [x if number(x) is None else (x, x) for x in positions]
-    sides = tuple(
-        (low, high) for (low,), (high,) in (bounds(f"the bounds of x[{i}]", p, 1) for i, p in enumerate(pairs))
-    )
-    for i, (least, most) in enumerate(sides):
-        low, high = (side[i] for side in within)
+    pairs = [x if number(x) is None else (x, x) for x in place]
+    read = [bounds(f"the bounds of x[{i}]", pair, 1) for i, pair in enumerate(pairs)]
+    sides = tuple((low, high) for (low,), (high,) in read)
+    for i, ((least, most), low, high) in enumerate(zip(sides, *within, strict=True)):
         if not (keeps_to(least, -np.inf, high) and keeps_to(most, low, np.inf)):
             raise ValueError(
                 f"waypoint bounds x[{i}] by [{least}, {most}], outside its position_bounds [{low}, {high}]"

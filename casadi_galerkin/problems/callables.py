@@ -205,30 +205,6 @@ def left_out(function: object) -> bool:
     return function is None or (isinstance(function, ca.Function) and function.n_out() == 1 and not function.nnz_out(0))
 
 
-def trace_lagrangian(
-    lagrangian: Traceable, sizes: Mapping[str, int], count: int, integrands: ca.Function | None = None
-) -> ca.Function:
-    """Trace L(t, x, v[, p]) and check that it depends on the first `count` velocities, and on no others.
-
-    It need not depend on those that integrands of given integrals depend on.
-    """
-    function = trace("lagrangian", lagrangian, sizes, "scalar")
-    used = function.sparsity_jac(2, 0)
-    given = set() if integrands is None else set(integrands.sparsity_jac(2, 0).get_col())
-    ignored = [i for i in range(count) if not used.has_nz(0, i) and i not in given]
-    if ignored:
-        names = ", ".join(f"v[{i}]" for i in ignored)
-        reason = "without a velocity there is no equation of motion for it"
-        rated = (
-            "" if count == sizes["v"] else ", nor is its rate among the rates, which are those of the last components"
-        )
-        raise ValueError(f"the lagrangian ignores {names}: {reason}{rated}")
-    for i in range(count, sizes["v"]):
-        if used.has_nz(0, i):
-            raise ValueError(f"the lagrangian depends on v[{i}], but x[{i}] follows a rate and has no momentum")
-    return function
-
-
 @lru_cache(64)
 def with_multipliers(function: ca.Function, parameters: int, count: int, integrands: ca.Function | None) -> ca.Function:
     """A callable with `count` multipliers μ after its parameters; with μ·g of integrands g(t, x, v[, p]) added."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -22,6 +22,7 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import OneOrMore, counted, times_inside, whole_number
 from casadi_galerkin.calculus.numbers import components as checked_components
+from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds
 from casadi_galerkin.problems.breakpoint_events import Pairs, Waypoint, is_limited, jumps, waypoints
 from casadi_galerkin.problems.callables import Traceable, depends_on_time, left_out, of_zeros
@@ -29,37 +30,18 @@ from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
 from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import Problem, is_given, section_times, with_values
-from casadi_galerkin.problems.statements import (
-    Made,
-    Reader,
-    dimension,
-    function,
-    lagrangian,
-    lengths,
-    limited,
-    parameters,
-    span,
-    switch,
-    traced,
-    vector,
-    vector_or_nothing,
-    within,
-)
 
 
-def _controls(name: str, value: Any, _: Made) -> int:
-    return whole_number(name, value, least=0)
-
-
-def _stated(name: str, value: Any, made: Made, none: int, rows: int | str) -> ca.Function:
+def _stated(name: str, value: Any, made: statements.Made, none: int, rows: int | str) -> ca.Function:
     """A callable of (t, x, v, u), or so many zeros where it is left out."""
-    names = "t x v u"
-    return of_zeros(name, lengths(names, made), none) if left_out(value) else traced(name, value, names, rows, made)
+    if left_out(value):
+        return of_zeros(name, statements.lengths("t x v u", made), none)
+    return statements.traced(name, value, "t x v u", rows, made)
 
 
-def _rates(name: str, value: Any, made: Made) -> ca.Function:
+def _rates(name: str, value: Any, made: statements.Made) -> ca.Function:
     """Rates of the last components, as many as there are values."""
-    rates, d = _stated(name, value, made, 0, "any"), dimension(made)
+    rates, d = _stated(name, value, made, 0, "any"), statements.dimension(made)
     if rates.numel_out(0) > d:
         raise ValueError(
             f"rates must be those of at most all {counted(d, 'component')}, got {rates.numel_out(0)} values"
@@ -67,53 +49,41 @@ def _rates(name: str, value: Any, made: Made) -> ca.Function:
     return rates
 
 
-def _mechanical(name: str, value: Any, made: Made) -> int:
+def _mechanical(name: str, value: Any, made: statements.Made) -> int:
     """Number of components without rates, which a Lagrangian and a force move; without any, neither is given."""
     rated = made["rates"].numel_out(0)
-    if rated == dimension(made) and not left_out(value):
+    if rated == statements.dimension(made) and not left_out(value):
         raise ValueError(f"all components follow rates: leave out {name}, got {value!r}")
-    return dimension(made) - rated
+    return statements.dimension(made) - rated
 
 
-def _lagrangian(name: str, value: Any, made: Made) -> ca.Function:
-    mechanical, d = _mechanical(name, value, made), dimension(made)
+def _lagrangian(name: str, value: Any, made: statements.Made) -> ca.Function:
+    mechanical, d = _mechanical(name, value, made), statements.dimension(made)
     if not left_out(value):
-        return lagrangian(name, value, made)
+        return statements.lagrangian(name, value, made)
     if mechanical:
         first = ", ".join(f"x[{i}]" for i in range(mechanical))
         raise ValueError(
             f"nothing moves {first}: give a lagrangian, or rates of all {counted(d, 'component')}, got {d - mechanical}"
         )
-    return of_zeros(name, lengths("t x v", made), 1)
+    return of_zeros(name, statements.lengths("t x v", made), 1)
 
 
-def _force(name: str, value: Any, made: Made) -> ca.Function:
+def _force(name: str, value: Any, made: statements.Made) -> ca.Function:
     count = _mechanical(name, value, made)
     return _stated(name, value, made, count, count)
 
 
-def _running_cost(name: str, value: Any, made: Made) -> ca.Function:
-    return _stated(name, value, made, 1, "scalar")
-
-
-def _one(_: Made) -> int:
-    return 1
-
-
-def _phases(made: Made) -> int:
-    return len(made["breakpoints"]) + 1
-
-
-def _breakpoints(name: str, value: Any, made: Made) -> tuple[float, ...]:
+def _breakpoints(name: str, value: Any, made: statements.Made) -> tuple[float, ...]:
     """Those that are named, and the times of waypoints and jumps."""
     named = {*times_inside(name, value, made["t_span"]), *dict(made["waypoints"]), *dict(made["jumps"])}
     return times_inside("breakpoints, waypoints and jumps", sorted(named), made["t_span"])
 
 
-def _sides(count: Callable[[Made], int], positive: bool = False) -> Reader:
+def _sides(count: Callable[[statements.Made], int], positive: bool = False) -> statements.Reader:
     """(lo, hi) of what is free within them, of so many values; None where nothing is."""
 
-    def reader(name: str, value: Any, made: Made) -> Bounds | None:
+    def reader(name: str, value: Any, made: statements.Made) -> Bounds | None:
         if value is None:
             return None
         if not count(made):
@@ -127,33 +97,33 @@ def _sides(count: Callable[[Made], int], positive: bool = False) -> Reader:
 
 
 STATEMENTS = {
-    "start": vector,
-    "first_order": switch,
-    "controls": _controls,
-    "parameters": parameters,
+    "start": statements.vector,
+    "first_order": statements.switch,
+    "controls": statements.plain(partial(whole_number, least=0)),
+    "parameters": statements.parameters,
     "rates": _rates,
     "lagrangian": _lagrangian,
     "force": _force,
-    "position_bounds": within("x"),
+    "position_bounds": statements.within("x"),
     "waypoints": waypoints,
     "jumps": jumps,
-    "t_span": span,
+    "t_span": statements.span,
     "breakpoints": _breakpoints,
-    **dict.fromkeys(("end", "start_velocity", "end_velocity"), vector_or_nothing),
-    "running_cost": _running_cost,
-    "terminal_cost": function("t x v", "scalar"),
-    "control_bounds": within("controls"),
-    "control_rate_bounds": within("controls"),
-    "velocity_bounds": within("x"),
-    "start_bounds": within("x"),
-    "initial_time_bounds": _sides(_one),
-    "initial_cost": function("t x v", "scalar"),
-    "path_constraint": limited("t x v u"),
-    "duration_bounds": _sides(_phases, positive=True),
+    **dict.fromkeys(("end", "start_velocity", "end_velocity"), statements.vector_or_nothing),
+    "running_cost": lambda name, value, made: _stated(name, value, made, 1, "scalar"),
+    "terminal_cost": statements.function("t x v", "scalar"),
+    "control_bounds": statements.within("controls"),
+    "control_rate_bounds": statements.within("controls"),
+    "velocity_bounds": statements.within("x"),
+    "start_bounds": statements.within("x"),
+    "initial_time_bounds": _sides(lambda _: 1),
+    "initial_cost": statements.function("t x v", "scalar"),
+    "path_constraint": statements.limited("t x v u"),
+    "duration_bounds": _sides(lambda made: len(made["breakpoints"]) + 1, positive=True),
     "parameter_bounds": _sides(lambda made: len(made["parameters"] or ())),
-    "end_conditions": limited("x0 v0 x1 v1"),
-    "hold": switch,
-    "constraint": function("t x", "any"),
+    "end_conditions": statements.limited("x0 v0 x1 v1"),
+    "hold": statements.switch,
+    "constraint": statements.function("t x", "any"),
 }
 
 
@@ -238,8 +208,6 @@ class ControlProblem(Problem):
     (1.0,)
     """
 
-    lagrangian: ca.Function
-    t_span: tuple[float, float]
     start: tuple[float | None, ...]
     end: tuple[float | None, ...]
     start_velocity: tuple[float | None, ...]
@@ -252,21 +220,18 @@ class ControlProblem(Problem):
     position_bounds: Bounds
     path_constraint: Limited
     duration_bounds: Bounds | None
-    parameters: tuple[float, ...] | None
     parameter_bounds: Bounds | None
     rates: ca.Function
     end_conditions: Limited
-    breakpoints: tuple[float, ...]
     waypoints: tuple[tuple[float, Pairs | Limited], ...]
     jumps: tuple[tuple[float, ca.Function], ...]
     hold: bool
-    constraint: ca.Function | None
     velocity_bounds: Bounds
     control_rate_bounds: Bounds
     initial_cost: ca.Function | None
     start_bounds: Bounds
     initial_time_bounds: Bounds | None
-    statements, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, RULES_OF_VALUES, (singular_mass,)
+    readers, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, RULES_OF_VALUES, (singular_mass,)
 
     def __init__(
         self,
@@ -430,7 +395,7 @@ class ControlProblem(Problem):
         """Another value of a statement; bounds of velocities are rows, which stay the same."""
         if name not in ("control_bounds", "position_bounds", "velocity_bounds"):
             return super()._another(name, value)
-        other = self.statements[name](name, value, vars(self))
+        other = self.readers[name](name, value, vars(self))
         now, before = (np.isfinite(sides).any(axis=0).tolist() for sides in (other, getattr(self, name)))
         if name == "velocity_bounds" and now != before:
             raise ValueError(f"{name} must bound the same components as the problem does, {before}, got {now}")

@@ -5,33 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import OneOrMore
+from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.callables import Traceable
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
 from casadi_galerkin.problems.problem import Problem
-from casadi_galerkin.problems.statements import (
-    function,
-    lagrangian,
-    optional,
-    parameters,
-    span,
-    whole_vector,
-)
 
 STATEMENTS = {
-    "start": whole_vector,
-    "parameters": parameters,
-    "lagrangian": lagrangian,
-    "t_span": span,
-    "momentum": optional(whole_vector),
-    "velocity": optional(whole_vector),
-    "force": function("t x v", "x"),
-    "constraint": function("t x", "any"),
+    "start": statements.whole_vector,
+    "parameters": statements.parameters,
+    "lagrangian": statements.lagrangian,
+    "t_span": statements.span,
+    "momentum": statements.optional(statements.whole_vector),
+    "velocity": statements.optional(statements.whole_vector),
+    "force": statements.function("t x v", "x"),
+    "constraint": statements.function("t x", "any"),
 }
 
 
@@ -63,17 +55,11 @@ class InitialProblem(Problem):
     1
     """
 
-    lagrangian: ca.Function
-    t_span: tuple[float, float]
     start: tuple[float, ...]
     momentum: tuple[float, ...] | None
     velocity: tuple[float, ...] | None
-    parameters: tuple[float, ...] | None
-    force: ca.Function | None
-    constraint: ca.Function | None
     breakpoints: tuple[float, ...] = field(default=(), init=False, repr=False)  # which other problems have
-    statements = STATEMENTS
-    rules, rules_of_values = (impossible_constraint,), (constraint_at_ends, leaving_velocity)
+    readers, rules, rules_of_values = STATEMENTS, (impossible_constraint,), (constraint_at_ends, leaving_velocity)
 
     def __init__(
         self,

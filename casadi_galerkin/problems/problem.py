@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
+from dataclasses import dataclass
 from reprlib import repr as shown
 from typing import Any, ClassVar, TypeVar
 
@@ -21,6 +22,7 @@ UNSAID = "lagrangian", "t_span", "first_order"  # by the summary of a problem
 VARIED = (*ENDS, "parameters", *END_MOTIONS, "integral_values", "energy")  # what can be varied, where a problem has it
 
 
+@dataclass(frozen=True, init=False, repr=False)
 class Problem:
     """What all problems state; answers keep the problem that they solve.
 
@@ -32,7 +34,7 @@ class Problem:
     parameters : values of p, or None
     t_span : times of the ends
     breakpoints : times of joints that every mesh has
-    statements : readers of all that a problem of this kind states
+    readers : of all that a problem of this kind states
     rules, rules_of_values, rules_of_masses : what is looked at when it is made; the second also where other values are
         given, the third where other parameters are
     """
@@ -43,14 +45,14 @@ class Problem:
     parameters: tuple[float, ...] | None
     t_span: tuple[float, float]
     breakpoints: tuple[float, ...]
-    statements: ClassVar[Mapping[str, Reader]]
+    readers: ClassVar[Mapping[str, Reader]]
     rules: ClassVar[Sequence[Rule]]
     rules_of_values: ClassVar[Sequence[Rule]]
     rules_of_masses: ClassVar[Sequence[Rule]] = ()
 
     def _state(self, given: Mapping[str, Any]) -> None:
         """Read all statements, and refuse what is wrong with them."""
-        self.__dict__.update(read(self.statements, given))  # the classes are frozen
+        self.__dict__.update(read(self.readers, given))  # the classes are frozen
         check(self, self.rules)
         self._check_values()
         check(self, self.rules_of_masses)
@@ -60,7 +62,7 @@ class Problem:
 
     def __repr__(self) -> str:
         """State the problem; its callables by their names alone."""
-        stated = {name: getattr(self, name) for name in self.statements if name not in UNSAID}
+        stated = {name: getattr(self, name) for name in self.readers if name not in UNSAID}
         said = []
         for name, value in stated.items():
             if is_given(value) and "bounds" not in name:

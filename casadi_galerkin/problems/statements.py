@@ -13,8 +13,8 @@ from typing import Any, TypeAlias
 import casadi as ca
 
 from casadi_galerkin.calculus.numbers import components, finite, flag, numbers, time_span, times_inside
-from casadi_galerkin.problems.bounds import bounds, bounds_with_room
-from casadi_galerkin.problems.callables import Rows, arguments, left_out, of_zeros, trace, trace_lagrangian
+from casadi_galerkin.problems.bounds import Bounds, bounds
+from casadi_galerkin.problems.callables import Rows, arguments, left_out, of_zeros, trace
 
 VELOCITIES = "v", "v0", "v1"
 
@@ -99,10 +99,22 @@ def function(names: str, rows: Rows | str) -> Reader:
 
 
 def lagrangian(_: str, value: Any, made: Made) -> ca.Function:
-    """L(t, x, v[, p]), which depends on every v[i] of a component with an equation of motion, and on no others."""
-    count, conditions = dimension(made), made.get("integral_conditions")
-    count -= made["rates"].numel_out(0) if "rates" in made else 0
-    return trace_lagrangian(value, lengths("t x v", made), count, conditions and conditions[0])
+    """L(t, x, v[, p]), which depends on every v[i] of a component with an equation of motion, and on no others.
+
+    It need not depend on those that integrands of given integrals depend on.
+    """
+    function, d = trace("lagrangian", value, lengths("t x v", made), "scalar"), dimension(made)
+    count, conditions = d - (made["rates"].numel_out(0) if "rates" in made else 0), made.get("integral_conditions")
+    used = set(function.sparsity_jac(2, 0).get_col())
+    given = set(conditions[0].sparsity_jac(2, 0).get_col()) if conditions else set()
+    ignored = ", ".join(f"v[{i}]" for i in range(count) if i not in used | given)
+    if ignored:
+        rated = "" if count == d else ", nor is its rate among the rates, which are those of the last components"
+        reason = f"without a velocity there is no equation of motion for it{rated}"
+        raise ValueError(f"the lagrangian ignores {ignored}: {reason}")
+    for i in sorted(i for i in used if i >= count):
+        raise ValueError(f"the lagrangian depends on v[{i}], but x[{i}] follows a rate and has no momentum")
+    return function
 
 
 def integrals(name: str, value: Any, made: Made) -> tuple[ca.Function, tuple[float, ...]] | None:
@@ -131,4 +143,15 @@ def limited(names: str) -> Reader:
 
 def within(of: str) -> Reader:
     """(lo, hi) of as many values as "controls" or "x" have, that are not all fixed."""
-    return lambda name, value, made: bounds_with_room(name, value, dimension(made) if of == "x" else made["controls"])
+
+    def reader(name: str, value: Any, made: Made) -> Bounds:
+        size = dimension(made) if of == "x" else made["controls"]
+        low, high = bounds(name, value, size)
+        if size > 1 and low == high:  # as by a pair for each of two components in place of (lo, hi)
+            raise ValueError(
+                f"{name} must be (lo, hi), each a number or {size} numbers, not a pair for each component: "
+                f"{value!r} leaves nothing free"
+            )
+        return low, high
+
+    return reader

@@ -176,7 +176,10 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
     """
     duration = problem.t_span[1] - problem.t_span[0]
     if guess is None:
-        x, p, v, stretch = *_line(problem), 1.0
+        start, end = problem.given_positions
+        x = np.nan_to_num(np.where(np.isnan(start), end, start))
+        v, stretch = np.nan_to_num((end - start) / duration), 1.0
+        p = legendre_transform(problem.numeric.lagrangian)(problem.t_span[0], x, v)[0].full().ravel()
         ends = [v, v]
     else:
         x, p, v = (a[:, 0] for a in (guess.x, guess.momentum, guess.velocity))
@@ -186,15 +189,6 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
     if problem.energy is None:
         return np.concatenate((x, p)), own, v
     return np.concatenate((x, [stretch], p, [0.0])), own, np.append(stretch * v, 0.0)
-
-
-def _line(problem: BoundaryProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x_0, p_0 and velocity of the straight line."""
-    start, end = problem.given_positions
-    x = np.nan_to_num(np.where(np.isnan(start), end, start))
-    v = np.nan_to_num((end - start) / (problem.t_span[1] - problem.t_span[0]))
-    legendre = legendre_transform(problem.numeric.lagrangian)
-    return x, np.array(legendre(problem.t_span[0], x, v)[0]).ravel(), v
 
 
 def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
