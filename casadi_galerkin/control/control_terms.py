@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.control.control_embedding import Embedding, PhaseEmbedding, PlaceLayout
+from casadi_galerkin.control.control_embedding import Embedding, PlaceLayout
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -149,7 +149,17 @@ def all_places(phases: Sequence[ControlProblem], joins: Joins, embedding: Embedd
     """All kinds of places that exist, in the order of the embedding; equal terms are made once."""
     made, shared = list[tuple[PlaceLayout, tuple[ca.SX, Terms]]](), dict[str, PointwiseTerms]()
     for problem, of_phase in zip(phases, embedding.phases, strict=True):
-        made += [(place, _terms(problem, of_phase, place)) for place in of_phase.inputs]
+        make: dict[PlaceLayout, Callable[..., Terms]] = {
+            of_phase.points: _at_points,
+            of_phase.either_end: _at_either_end,
+            of_phase.both_ends: partial(_at_both_ends, conditions=of_phase.chain.end_conditions[0]),
+            of_phase.nodes: _at_nodes,
+            of_phase.changes: _at_changes,
+        }
+        for place in of_phase.inputs:
+            z, inputs = _inputs(place)
+            inputs["parameters"] = [] if problem.parameters is None else [inputs["parameters"]]
+            made.append((place, (z, make[place](problem, *inputs.values()))))
     if embedding.joins is not None:
         made.append((embedding.joins, _of_joins(phases, joins, embedding.joins)))
     places, integrated = list[Places](), [of_phase.points for of_phase in embedding.phases]
@@ -163,29 +173,15 @@ def all_places(phases: Sequence[ControlProblem], joins: Joins, embedding: Embedd
     return places
 
 
-def _inputs(place: PlaceLayout) -> tuple[ca.SX, dict[str, ca.SX]]:
+def _inputs(place: PlaceLayout) -> tuple[ca.SX, dict[str, Any]]:
     """Symbols of the inputs at one place, as one vector and by name."""
     z = ca.SX.sym("z", place.width)
     parts = ca.vertsplit(z, np.cumsum([0, *place.rows.values()]).tolist())
     return z, dict(zip(place.rows, parts, strict=True))
 
 
-def _terms(problem: ControlProblem, embedding: PhaseEmbedding, place: PlaceLayout) -> tuple[ca.SX, Terms]:
-    """The symbols, and what is evaluated, at one kind of place of a phase."""
-    make: dict[PlaceLayout, Callable[..., Terms]] = {
-        embedding.points: _at_points,
-        embedding.either_end: _at_either_end,
-        embedding.both_ends: partial(_at_both_ends, conditions=embedding.chain.end_conditions[0]),
-        embedding.nodes: _at_nodes,
-        embedding.changes: _at_changes,
-    }
-    z, inputs = _inputs(place)
-    given: dict[str, Any] = inputs | {"parameters": [] if problem.parameters is None else [inputs["parameters"]]}
-    return z, make[place](problem, *given.values())
-
-
 def _of_joins(phases: Sequence[ControlProblem], joins: Joins, place: PlaceLayout) -> tuple[ca.SX, Terms]:
-    """The same at the ends of all phases."""
+    """The symbols, and what is evaluated, at the ends of all phases."""
     z, inputs = _inputs(place)
     ends = list(inputs.values())
     for k, problem in enumerate(phases):

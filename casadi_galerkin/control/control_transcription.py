@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
@@ -41,7 +42,6 @@ from casadi_galerkin.control.optimizer import (
     with_sqp,
 )
 from casadi_galerkin.control.program_bounds import (
-    ProgramBounds,
     bounds_of,
     check_count,
     check_stages,
@@ -136,7 +136,7 @@ class ControlTranscription:
         self.numbering, self.joins = self.graph.numbering, self.graph.joins
         self.bounds = bounds_of(self.phases, self.joins, self.numbering)
         check_count(self.numbering, self.bounds)
-        self._solvers: dict[str, Any] = {}
+        self._solvers: dict[str, ObjectPool[Evaluator]] = {}
         self.build_seconds = time.perf_counter() - began
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -203,13 +203,8 @@ class ControlTranscription:
         check_solver(solver)
         check_verbose(verbose)
         calculus = self.calculus if mesh is None else self._remeshed(mesh)
-        given: dict[str, Any] = {
-            "start": start,
-            "end": end,
-            "start_velocity": start_velocity,
-            "end_velocity": end_velocity,
-        }
-        given |= {"parameters": parameters, "control_bounds": control_bounds}
+        given: dict[str, Any] = {"start": start, "end": end, "parameters": parameters, "control_bounds": control_bounds}
+        given |= {"start_velocity": start_velocity, "end_velocity": end_velocity}
         given |= {"position_bounds": position_bounds, "velocity_bounds": velocity_bounds}
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
         problem = self.problem.varied(given, span)
@@ -265,7 +260,8 @@ class ControlTranscription:
         bounds = self.bounds if problem is self.problem else bounds_of(phases, self.joins, numbers)
         unknowns, data = numbers.pack(start.values)
         verified = partial(self._verified, solver, problem, calculus, start, began)
-        root = self._newton(unknowns, data, bounds)
+        step = self._newton
+        root = None if step is None else newton(step, numbers.unknown_kinds, unknowns, data, bounds)
         if root is not None:
             with suppress(ConvergenceError):  # as where it violates a bound, and another root does not
                 return verified(root, "Newton")
@@ -387,14 +383,12 @@ class ControlTranscription:
             return with_sqp(self.graph, verbose, solver.options)
         return with_ipopt(self.graph, warm, verbose, solver.options)
 
-    def _newton(self, unknowns: np.ndarray, data: np.ndarray, bounds: ProgramBounds) -> Optimum | None:
-        """The answer where nothing costs and nothing is to be chosen, as Newton's method finds it; or None."""
-        if "newton" not in self._solvers:
-            costs = self.joins.cost is not None or any(phase.costs for phase in self.phases)
-            program = None if costs else newton_step(self.graph, self.bounds)
-            self._solvers["newton"] = None if program is None else ObjectPool(lambda: Evaluator(program))
-        solver = self._solvers["newton"]
-        return None if solver is None else newton(solver, self.numbering.unknown_kinds, unknowns, data, bounds)
+    @cached_property
+    def _newton(self) -> ObjectPool[Evaluator] | None:
+        """A step of Newton's method where nothing costs and nothing is to be chosen; or None."""
+        costs = self.joins.cost is not None or any(phase.costs for phase in self.phases)
+        program = None if costs else newton_step(self.graph, self.bounds)
+        return None if program is None else ObjectPool(lambda: Evaluator(program))
 
     def _kept_program(self, solver: Solver, warm: bool, verbose: int) -> ObjectPool[Evaluator]:
         """The solver for this program, built when it is first needed; with limited time, for this solve only."""

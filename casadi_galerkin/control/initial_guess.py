@@ -112,15 +112,16 @@ def guesses_of_phases(
         path_guess, controls = (
             of(map_times(at, own, other)) for of, at in ((guess, whole.node_times), (guess.control, times))
         )
-    if controls is not None and not callable(controls):
-        values = real_array("the guess of the controls", controls)
-        if values.shape != (problem.controls, len(times)):
-            _refuse_shape(problem, values.shape, (problem.controls, len(times)))
-        rule = whole.method.element.points
-        controls = ControlPath(mesh, np.array([0.5]) if problem.hold else rule, values, rule)
     path = PiecewisePolynomial(mesh, whole.method.element.nodes, _path(problem, whole, path_guess).T)
-    cuts = np.cumsum([0, *(len(one.mesh) - 1 for one in calculi)]).tolist()
-    return [(path.between(*ends), controls) for ends in pairwise(cuts)]
+    cuts = np.cumsum([0, *(len(one.mesh) - 1 for one in calculi)])
+    parts = (
+        [None] * count
+        if controls is None
+        else np.split(
+            _values_of_controls(problem, mesh, controls, times), cuts[1:-1] * (len(times) // (len(mesh) - 1)), axis=1
+        )
+    )
+    return [(path.between(*ends), part) for ends, part in zip(pairwise(cuts.tolist()), parts, strict=True)]
 
 
 def _lines(problem: Phases) -> list[Any]:
@@ -209,18 +210,19 @@ def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus,
         bounds = problem.control_bounds
         first = _zero_or_middle(*bounds) if problem.mechanical else np.clip(0.0, *bounds)
         return np.full((chain.intervals, len(chain.control_times), chain.controls), first)
-    name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)
-    shape = (chain.controls, len(times))
-    if isinstance(guess, ControlPath):  # stretched as a path is
-        values = guess(np.interp(times, calculus.mesh[[0, -1]], guess.mesh[[0, -1]]))
-    else:
-        values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
-    if values.shape != shape:
-        _refuse_shape(problem, values.shape, shape)
-    check_finite_values(name, values, times)
+    values = _values_of_controls(problem, calculus.mesh, guess, times_at(calculus.mesh, chain.control_times))
     return np.clip(values.T, *problem.control_bounds).reshape(chain.fields["controls"].shape)
 
 
-def _refuse_shape(problem: ControlProblem, got: tuple[int, ...], expected: tuple[int, int]) -> None:
-    where = "in the intervals" if problem.hold else "at the quadrature points"
-    raise ValueError(f"the guess of the controls must have the shape {expected} for values {where}, got {got}")
+def _values_of_controls(problem: ControlProblem, mesh: np.ndarray, guess: Values, times: np.ndarray) -> np.ndarray:
+    """Values (n, points) of a guess of the controls at these times."""
+    name, shape = "the guess of the controls", (problem.controls, len(times))
+    if isinstance(guess, ControlPath):  # stretched as a path is
+        values = guess(np.interp(times, mesh[[0, -1]], guess.mesh[[0, -1]]))
+    else:
+        values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
+    if values.shape != shape:
+        where = "in the intervals" if problem.hold else "at the quadrature points"
+        raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")
+    check_finite_values(name, values, times)
+    return values

@@ -44,6 +44,17 @@ def test_guess_may_be_a_callable_an_array_or_an_earlier_trajectory(guess):
     assert path.cost == pytest.approx(6, abs=1e-10)
 
 
+def test_a_guess_of_the_controls_is_cut_where_the_problem_is_parted():
+    parted = double_integrator(t_span=(0, 1), breakpoints=[0.4], duration_bounds=([0.4, 0.1], [0.4, 0.9]))
+    program = cg.transcribe(parted, cg.Galerkin(2), 5)
+    times = cg.ControlPath(program.mesh, program.method.element.points, np.zeros((1, 10)), np.array([0.5])).times
+    wave = np.sin(7 * times)[None, :]
+    for guess in (wave, lambda t: [np.sin(7 * t)]):
+        values = program.starting_point(*at_first(program), (None, guess)).values
+        found = np.concatenate([value["controls"].ravel() for value in values])
+        np.testing.assert_allclose(found, wave[0], rtol=0, atol=1e-15)
+
+
 @pytest.mark.parametrize("size", [1e-5, *slow(0.1)])
 @pytest.mark.parametrize("rule", [cg.gauss(2), cg.lobatto(2)], ids=["gauss", "lobatto"])
 def test_a_component_that_vanishes_is_found_from_a_guess_where_it_does_not(rule, size):
