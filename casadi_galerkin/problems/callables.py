@@ -151,7 +151,10 @@ def _check_signature(name: str, function: Traceable, expected: list[str]) -> Non
             return
     hint = _about_p(expected) if len(taken) > len(expected) or "p" in expected else ""
     if "u" in taken and "u" not in expected:
-        hint = ". Controls u are chosen by a ControlProblem, which is told their number by `controls`"
+        hint = (
+            ". Controls u are given to callables of a ControlProblem with `controls`, which is their number, but never "
+            "to its lagrangian, its constraint or what it states of the ends"
+        )
     order = ", in this order" if swapped else ""
     raise TypeError(f"{name} is called as {name}({', '.join(expected)}){order}, got one of ({', '.join(taken)}){hint}")
 
