@@ -53,7 +53,7 @@ def _waypoint(place: Any, made: Made) -> Pairs | Limited:
     within = made["position_bounds"]
     if not isinstance(place, (tuple, list, np.ndarray)) or len(place) != len(within[0]):
         raise ValueError(
-            f"waypoint must have {counted(len(within[0]), 'position')}, each a number, a pair or None, or be "
+            f"waypoint must be a list of {counted(len(within[0]), 'position')}, each a number, a pair or None, or be "
             f"(g, lo, hi), got {place!r}"
         )
     pairs = [x if number(x) is None else (x, x) for x in place]

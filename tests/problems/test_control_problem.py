@@ -256,7 +256,7 @@ def test_bounds_of_any_kind_are_read(pair):
 @pytest.mark.parametrize(
     ("waypoints", "kind", "message"),
     [
-        ([(1.0, [1.0])], ValueError, r"at t = 1: waypoint must have 2 positions, .* got \[1.0\]"),
+        ([(1.0, [1.0])], ValueError, r"at t = 1: waypoint must be a list of 2 positions, .* got \[1.0\]"),
         ([(3.0, [1.0, 1.0])], ValueError, r"must increase inside of \(0.0, 2.0\) by more than roundoff, got \(3.0,\)"),
         ([(1.0, [1.0, (2, 1)])], ValueError, r"at t = 1: the bounds of x\[1\] must have lo <= hi, got 2.0 and 1.0"),
         ([1.0], TypeError, r"waypoints must be pairs \(t, positions\) or .*, got 1.0"),
