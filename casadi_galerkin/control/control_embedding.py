@@ -93,15 +93,6 @@ class PlaceLayout:
         return starts[:, None] + np.arange(self.rows[name])
 
 
-def stacked(counts: Iterable[int], rows: Iterable[dict[str, int]], first: int) -> list[PlaceLayout]:
-    """Layouts of several kinds of places, one after the other, from the number and the rows of each."""
-    layouts = list[PlaceLayout]()
-    for count, named in zip(counts, rows, strict=True):
-        layouts.append(PlaceLayout(count, named, first))
-        first = layouts[-1].last
-    return layouts
-
-
 class PhaseEmbedding:
     """Entries of A, Θ and Λ of one phase.
 
@@ -139,14 +130,12 @@ class PhaseEmbedding:
             ((chain.intervals * m + 1) * (constraints > 0), at_node, {"constraint": constraints, "push": dm}),
             ((chain.intervals * len(chain.control_times) - 1) * (n > 0), at_change, {"changes": n}),
         ]
-        counts, inputs, outputs = zip(*kinds, strict=True)
-        all_inputs, self._all_outputs = (
-            stacked(counts, rows, k) for rows, k in zip((inputs, outputs), first, strict=True)
-        )
-        self.points, self.either_end, self.both_ends, self.nodes, self.changes = all_inputs
-        self.inputs, self.outputs = (
-            [place for place in layouts if place.count] for layouts in (all_inputs, self._all_outputs)
-        )
+        made = list[PlaceLayout](), list[PlaceLayout]()
+        for count, *rows in kinds:
+            for layouts, named, begin in zip(made, rows, first, strict=True):
+                layouts.append(PlaceLayout(count, named, layouts[-1].last if layouts else begin))
+        (self.points, self.either_end, self.both_ends, self.nodes, self.changes), self._all_outputs = made
+        self.inputs, self.outputs = ([place for place in layouts if place.count] for layouts in made)
 
     @property
     def ends(self) -> dict[str, int]:

@@ -350,7 +350,7 @@ class ControlTranscription:
 
         def values_at(some: Any, same: bool, factor: float) -> list[dict[str, np.ndarray]]:
             times = times_at(calculus.mesh, numbers.chains[0].control_times)
-            guesses = guesses_of_phases(problem, calculi, some, times)
+            guesses = guesses_of_phases(problem, calculus, calculi, some, times)
             given = zip(phases, numbers.chains, calculi, guesses, strict=True)
             return [first_values(*each, same, factor) for each in given]
 

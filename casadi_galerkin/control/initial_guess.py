@@ -79,7 +79,11 @@ def first_values(
 
 
 def guesses_of_phases(
-    problem: ControlProblem | Phases, calculi: Sequence[DiscreteCalculus], guess: Any, times: np.ndarray
+    problem: ControlProblem | Phases,
+    whole: DiscreteCalculus,
+    calculi: Sequence[DiscreteCalculus],
+    guess: Any,
+    times: np.ndarray,
 ) -> list[Any]:
     """A guess of every phase.
 
@@ -88,7 +92,7 @@ def guesses_of_phases(
 
     Parameters
     ----------
-    calculi : of the phases
+    whole, calculi : of the whole, and of the phases
     guess : of the whole
     times : (N points,), those of the controls of the whole
     """
@@ -104,8 +108,7 @@ def guesses_of_phases(
         if guess is None:
             return _lines(problem)
         return guess if isinstance(guess, list) else [guess] * count
-    mesh = np.append(np.concatenate([one.mesh[:-1] for one in calculi]), calculi[-1].mesh[-1])
-    whole = DiscreteCalculus(calculi[0].method, mesh)
+    mesh = whole.mesh
     path_guess, controls = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     if isinstance(guess, ControlTrajectory):
         own, other = section_times(problem), section_times(guess.problem)

@@ -95,13 +95,12 @@ def times_free(phases: Sequence[ControlProblem]) -> bool:
 
 def _joined(
     phases: Sequence[ControlProblem],
+    symbols: Sequence[ca.SX],
     links: Sequence[ca.Function | Limited | None],
-    others: Callable[[list[PhaseEnds]], list[Join]],
+    others: Sequence[Join],
     cost: ca.Function | None = None,
 ) -> Joins:
     """What links each phase to the next, by a law, by conditions or by continuity, and what others say."""
-    sizes = _sizes(phases)
-    symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
     ends, joins = _ends(symbols), list[Join]()
     for k, ((before, after), link, phase) in enumerate(zip(pairwise(ends), links, phases, strict=False)):
         p = [] if phase.parameters is None else [before.p]
@@ -114,11 +113,11 @@ def _joined(
             x, v = (before.x1, before.v1) if link is None else link(before.x1, before.v1, *p)
             gaps = {"x": after.x0 - x, "v": (after.v0 - v)[: phases[k + 1].mechanical]}
             joins += [Join(f"the continuity of {name}[{{}}]", k, gap) for name, gap in gaps.items()]
-    joins = [join for join in [*joins, *others(ends)] if join.rows.numel()]
+    joins = [join for join in [*joins, *others] if join.rows.numel()]
     rows = ca.densify(ca.vertcat(*(join.rows for join in joins)))
     sides = [join.sides or ((0.0,) * join.rows.numel(),) * 2 for join in joins]
     low, high = (tuple(side for pair in sides for side in pair[k]) for k in (0, 1))
-    conditions = ca.Function("joins", symbols, [rows], list(sizes), ["value"]), low, high
+    conditions = ca.Function("joins", symbols, [rows], list(_sizes(phases)), ["value"]), low, high
     return Joins(tuple(join._replace(rows=join.rows.numel(), sides=None) for join in joins), conditions, cost)
 
 
@@ -152,23 +151,21 @@ def joined_sections(problem: ControlProblem, phases: Sequence[ControlProblem]) -
     """What joins the phases of one problem: jumps or continuity, waypoints that are functions, and end conditions."""
     if len(phases) == 1:
         return Joins()
-    jumps, conditions = dict(problem.jumps), problem.conditions_on_the_way
+    jumps, conditions, joins = dict(problem.jumps), problem.conditions_on_the_way, list[Join]()
     times = [phase.t_span[1] for phase in phases[:-1]]
-
-    def others(ends: list[PhaseEnds]) -> list[Join]:
-        first, last, joins = ends[0], ends[-1], list[Join]()
-        for k, (t, (before, after)) in enumerate(zip(times, pairwise(ends), strict=True)):
-            p = [] if problem.parameters is None else [before.p]
-            if t in conditions:
-                g, *sides = conditions[t]
-                joins.append(Join("condition {}", k, g(before.x1, before.v1, *p), sides))
-            if problem.parameter_bounds is not None:
-                joins.append(Join("the continuity of p[{}]", k, after.p - before.p))
-        g, *sides = problem.conditions_at_ends
-        p = [] if problem.parameters is None else [last.p]
-        return [*joins, Join("end condition {}", len(times), g(first.x0, first.v0, last.x1, last.v1, *p), sides)]
-
-    return _joined(phases, [jumps.get(t) for t in times], others)
+    symbols = [ca.SX.sym(name, size) for name, size in _sizes(phases).items()]
+    ends = _ends(symbols)
+    given = [[] if problem.parameters is None else [end.p] for end in ends]
+    for k, (t, (before, after)) in enumerate(zip(times, pairwise(ends), strict=True)):
+        if t in conditions:
+            g, *sides = conditions[t]
+            joins.append(Join("condition {}", k, g(before.x1, before.v1, *given[k]), sides))
+        if problem.parameter_bounds is not None:
+            joins.append(Join("the continuity of p[{}]", k, after.p - before.p))
+    g, *sides = problem.conditions_at_ends
+    rows = g(ends[0].x0, ends[0].v0, ends[-1].x1, ends[-1].v1, *given[-1])
+    joins.append(Join("end condition {}", len(times), rows, sides))
+    return _joined(phases, symbols, [jumps.get(t) for t in times], joins)
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -224,16 +221,12 @@ class Phases:
         if not isinstance(links, (tuple, list)) or len(links) != count:
             raise ValueError(f"links must be {count}, one for every phase but the last, got {links!r}")
         total = None if cost is None else trace("cost", _of_ends(cost, sizes), sizes, "scalar")
-        limited = None if conditions is None else _limited("conditions", conditions, sizes, _of_ends)
-
-        def others(ends: list[PhaseEnds]) -> list[Join]:
-            if limited is None:
-                return []
-            rows = limited[0](*(value for phase in ends for value in phase))
-            return [Join("condition {} on the phases", count, rows, limited[1:])]
-
+        symbols, others = [ca.SX.sym(name, size) for name, size in sizes.items()], list[Join]()
+        if conditions is not None:
+            g, *sides = _limited("conditions", conditions, sizes, _of_ends)
+            others.append(Join("condition {} on the phases", count, g(*symbols), sides))
         self.__dict__["links"] = tuple(_link(self.phases, k, link) for k, link in enumerate(links))
-        self.__dict__["joins"] = _checked(self.phases, _joined(self.phases, self.links, others, total))
+        self.__dict__["joins"] = _checked(self.phases, _joined(self.phases, symbols, self.links, others, total))
 
     @property
     def t_span(self) -> tuple[float, float]:
