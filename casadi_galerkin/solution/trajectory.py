@@ -164,7 +164,7 @@ class Trajectory(Path):
         """The path with a quantity `asked`, and its error."""
         value, change, size = self._known(of)
         asked = value if value.ndim else value.item()
-        return self.amended(asked=asked, asked_error=float(np.max(change)) / size)
+        return self.amended(asked=asked, asked_error=float(np.max(change)) / (size or 1.0))
 
     def amended(self: Answer, **changes: Any) -> Answer:
         """The same path with another report, and all that has been computed of it."""
