@@ -9,7 +9,7 @@ with p at the joints from the discrete Legendre transform.  A discrete path sati
 It does not where L has a kink inside an interval, or where the mesh is far too coarse.  Where L jumps in time, or is
 singular at an end, energies differ on any mesh.  So an interval counts by no more than all that acts within it may move
 the path (`_most_change`), and where the energy changes by more, it is balanced before and after the interval.  Where L
-steps in x, as at an edge, the impulse is in no equation, and energies on both sides must agree (`_steps_in_place`).
+steps in x, as at an edge, the impulse is in no equation, and energies on both sides must agree.
 
 The Lagrangian between points.  Along a path that its mesh resolves, L is nearly a polynomial on every interval, and the
 polynomial through its values at m + 1 points predicts the others.  At a pole it does not.  There the path is
@@ -250,7 +250,9 @@ def _between_breakpoints(
     gained, size, rounded = np.abs(np.diff(conserved)), np.minimum(scale[1:], scale[:-1]), floor[1:] + floor[:-1]
     unresolved, most = _unresolved(sampled, scale, floor), _most_change(sampled)
     if np.any((gained > most * size + rounded) | (unresolved > most)):
-        most = np.where(_steps_in_place(sampled), np.inf, most)
+        # where L steps in x, CasADi's derivative is zero, and its impulse in no equation; a force is not in L
+        values, slopes, _ = sampled.in_place(pointwise(problem.lagrangian, None).first, varied=0)
+        most = np.where(sampled.unexplained(0, values, slopes[:, None, :], values), np.inf, most)
     jumps = gained > most * size + rounded
     balance = np.where(jumps, most, 0.0)
     for part in np.split(np.arange(len(scale)), np.flatnonzero(jumps) + 1):
@@ -275,15 +277,6 @@ def _most_change(at: _Sampled) -> np.ndarray:
     )
     change = np.max(moved / at.path.sizes + pushed / (np.fmin(inertia[1:], inertia[:-1]) + TINY), axis=1)
     return np.where(np.isfinite(change), change, np.inf)
-
-
-def _steps_in_place(at: _Sampled) -> np.ndarray:
-    """Whether L steps in x on an interval; (N,).
-
-    CasADi's derivative of a step is zero, so that its impulse is in no equation, on any mesh.
-    """
-    values, slopes, _ = at.in_place(pointwise(at.problem.lagrangian, None).first, varied=0)  # a force is not in L
-    return at.unexplained(0, values, slopes[:, None, :], values)
 
 
 def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:

@@ -27,11 +27,10 @@ def check_quantity(of: object) -> None:
 
 def check_asked(of: Quantity | None, tol: float | None) -> None:
     """Refuse a quantity without its tolerance."""
-    if of is None:
-        return
-    check_quantity(of)
-    if tol is None:
-        raise ValueError("of is what a tolerance is asked of: give tol with it")
+    if of is not None:
+        check_quantity(of)
+        if tol is None:
+            raise ValueError("of is what a tolerance is asked of: give tol with it")
 
 
 def quantity(of: Quantity, path: object) -> np.ndarray:

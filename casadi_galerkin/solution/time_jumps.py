@@ -49,15 +49,10 @@ def integrand(problem: ControlProblem) -> ca.Function:
     return ca.Function("integrand", [*point, costate, rate, multipliers], [*map(ca.densify, found)])
 
 
-def _callables(problem: ControlProblem) -> list[ca.Function]:
-    """The Functions along the path; the parameters are the last argument of each."""
-    return [problem.lagrangian, *problem.along]
-
-
 def may_step(problem: ControlProblem) -> bool:
     """Whether a callable compares or rounds values, or calls a Function: else none steps."""
-    stepping = {*STEPPING, ca.OP_CALL}
-    return any(f.instruction_id(k) in stepping for f in _callables(problem) for k in range(f.n_instructions()))
+    stepping, along = {*STEPPING, ca.OP_CALL}, (problem.lagrangian, *problem.along)
+    return any(f.instruction_id(k) in stepping for f in along for k in range(f.n_instructions()))
 
 
 def moving_phases(problem: ControlProblem) -> np.ndarray:
@@ -67,7 +62,8 @@ def moving_phases(problem: ControlProblem) -> np.ndarray:
         free = np.cumsum(np.less(*problem.duration_bounds)) > 0
     if problem.parameter_bounds is None:
         return free
-    return free | any(entries_within(f, f.n_in() - 1, STEPPING) for f in _callables(problem))
+    along = problem.lagrangian, *problem.along  # the parameters are the last argument of each
+    return free | any(entries_within(f, f.n_in() - 1, STEPPING) for f in along)
 
 
 def largest_step(
