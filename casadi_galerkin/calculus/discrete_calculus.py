@@ -29,24 +29,17 @@ from casadi_galerkin.calculus.roundoff import EPS
 NEAREST = 64 * EPS  # two joints with a smaller relative difference count as one joint that was rounded in two ways
 
 
-def too_near(joints: np.ndarray) -> np.ndarray:
-    """Whether the two joints of each interval differ by no more than roundoff; (N,)."""
-    return np.diff(joints) <= NEAREST * np.abs(joints[1:])
-
-
 def time_scale(mesh: ArrayLike) -> np.ndarray:
     """Check the joints a = t_0 < ... < t_N = b of a time scale T; shape (N + 1,), N >= 1."""
     joints = real_array("the joints of a mesh", mesh)
     if joints.ndim != 1 or joints.size < 2:
         raise ValueError(f"a mesh is a sequence of at least 2 joints, got shape {joints.shape}")
-    undefined = np.flatnonzero(~np.isfinite(joints))
-    if undefined.size:
-        raise ValueError(f"the joints of a mesh must be finite, got t[{undefined[0]}] = {joints[undefined[0]]}")
-    near = too_near(joints)
-    if np.any(near):
-        i = int(np.argmax(near))
+    steps = np.diff(joints)
+    wrong = ~((steps > NEAREST * np.abs(joints[1:])) & (steps < np.inf))
+    if np.any(wrong):
+        i = int(np.argmax(wrong))
         raise ValueError(
-            f"the joints of a mesh must increase by more than roundoff, got t[{i}] = {joints[i]} and "
+            f"the joints of a mesh must be finite and increase by more than roundoff, got t[{i}] = {joints[i]} and "
             f"t[{i + 1}] = {joints[i + 1]}"
         )
     joints.flags.writeable = False  # transcriptions and paths share them

@@ -119,15 +119,10 @@ def check_method(method: object, optional: bool = False) -> None:
 @lru_cache(64)
 def _check_rule(degree: int, rule: Quadrature) -> None:
     """Refuse a rule with which paths, or their Hessians, would be silently wrong."""
-    if len(rule) < degree:
+    if len(rule) < degree or rule.order < degree:
         raise ValueError(
-            f"a path of degree {degree} needs at least {degree} quadrature points, got {len(rule)}: "
-            "with fewer the discrete equations have solutions that are silently wrong"
-        )
-    if rule.order < degree:
-        raise ValueError(
-            f"a path of degree {degree} needs a quadrature of order {degree} at least, got order {rule.order}: "
-            "with a lower one not even uniform motion solves the discrete equations"
+            f"a path of degree {degree} needs at least {degree} quadrature points and order {degree}, got {len(rule)} "
+            f"and order {rule.order}: with less the discrete equations have solutions that are silently wrong"
         )
     slopes = legendre.legvander(2 * np.array(rule.points) - 1, degree - 1)
     least = float(np.linalg.eigvalsh(slopes.T * rule.weights @ slopes)[0])

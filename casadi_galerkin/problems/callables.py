@@ -96,7 +96,10 @@ def _traced(
     copies = {key: symbols[key][:] for key in taken}  # which it may change
     value = _called(name, function, copies, shapes)
     if isinstance(value, (list, tuple, np.ndarray)) and rows != "scalar":
-        value = _column(name, value)
+        try:
+            value = ca.vertcat(*value)
+        except (NotImplementedError, TypeError) as error:
+            raise TypeError(f"{name} must return one CasADi expression per component, got {value!r}") from error
     if not isinstance(value, (ca.SX, ca.DM)) and number(value) is None:
         raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
     value = ca.SX(value) if not isinstance(value, ca.SX) else value
@@ -178,13 +181,6 @@ def _about_p(arguments: Iterable[str]) -> str:
     if "p" in arguments:
         return ". It is called with p because parameters are given"
     return ". If it takes p, give parameters" if "v" in arguments else ""
-
-
-def _column(name: str, values: Iterable[Any]) -> Any:
-    try:
-        return ca.vertcat(*values)
-    except (NotImplementedError, TypeError) as error:
-        raise TypeError(f"{name} must return one CasADi expression per component, got {values!r}") from error
 
 
 def arguments(parameters: tuple[float, ...] | None, **sizes: int) -> dict[str, int]:

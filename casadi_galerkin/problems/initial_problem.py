@@ -27,6 +27,12 @@ STATEMENTS = {
 }
 
 
+def _stateless(problem: InitialProblem) -> tuple[()]:
+    """A start that has no velocity or no mass, which is refused where its state is found."""
+    _ = problem.start_state
+    return ()
+
+
 @dataclass(frozen=True, repr=False)
 class InitialProblem(Problem):
     """A path from a position and a momentum, or velocity, at the start.
@@ -59,7 +65,8 @@ class InitialProblem(Problem):
     momentum: tuple[float, ...] | None
     velocity: tuple[float, ...] | None
     breakpoints: tuple[float, ...] = field(default=(), init=False, repr=False)  # which other problems have
-    readers, rules, rules_of_values = STATEMENTS, (impossible_constraint,), (constraint_at_ends, leaving_velocity)
+    readers, rules = STATEMENTS, (impossible_constraint,)
+    rules_of_values = constraint_at_ends, leaving_velocity, _stateless
 
     def __init__(
         self,
@@ -98,7 +105,3 @@ class InitialProblem(Problem):
         if np.isnan(float(lagrangian(start, x, v))):
             raise ValueError(f"the lagrangian is not a number at the start, x = {self.start}, v = {v.tolist()}")
         return (momentum if given is None else p).ravel(), v
-
-    def _check_values(self) -> None:
-        super()._check_values()
-        _ = self.start_state  # which refuses a start that has no velocity or no mass

@@ -53,12 +53,7 @@ class Problem:
     def _state(self, given: Mapping[str, Any]) -> None:
         """Read all statements, and refuse what is wrong with them."""
         self.__dict__.update(read(self.readers, given))  # the classes are frozen
-        check(self, self.rules)
-        self._check_values()
-        check(self, self.rules_of_masses)
-
-    def _check_values(self) -> None:
-        check(self, self.rules_of_values)
+        check(self, (*self.rules, *self.rules_of_values, *self.rules_of_masses))
 
     def __repr__(self) -> str:
         """State the problem; its callables by their names alone."""
@@ -110,8 +105,7 @@ class Problem:
         if "integral_values" in values:
             values["integral_conditions"] = vars(self)["integral_conditions"][0], values.pop("integral_values")
         other = with_values(self, t_span=span, **values)
-        other._check_values()
-        check(other, () if other.parameters == self.parameters else other.rules_of_masses)
+        check(other, (*other.rules_of_values, *(other.rules_of_masses if other.parameters != self.parameters else ())))
         return other
 
     def _another(self, name: str, value: Any) -> Any:

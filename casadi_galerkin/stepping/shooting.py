@@ -32,12 +32,11 @@ from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.orbit_phase import turned_back
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
+from casadi_galerkin.solvers.newton import SEARCH_ITERATIONS, SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.initial_value import to_tolerance, trajectory
 from casadi_galerkin.stepping.shooting_residual import Shooting, Shot
 
-MOST_STEPS = 50  # of Newton's method
 MISS = EPS**0.5  # accepted miss of the end, relative to the size of the path: half of the digits
 ZERO_START = 1e3 * EPS  # rounding of a start that tends to zero, relative to what it was before
 UNDETERMINED = 64 * EPS  # smallest singular value of the scaled derivative from which the end depends on the start
@@ -200,14 +199,14 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
     except ConvergenceError as error:
         words = f"shooting failed: a step of the first path failed: {error}. Give a guess with a better start"
         raise ConvergenceError(words, error.path, error.residual, error.iterations) from error
-    for iteration in range(MOST_STEPS):
+    for iteration in range(SEARCH_ITERATIONS):
         trial = None
         if np.any(np.abs(shot.miss) > shot.floor):
             trial = _line_search(shooting, shot, start, _direction(shot, shot.miss, iteration))
         if trial is None:
             return _met(shot, iteration), iteration
         shot, start = trial
-    raise _failure(f"no convergence in {MOST_STEPS} iterations", shot, MOST_STEPS)
+    raise _failure(f"no convergence in {SEARCH_ITERATIONS} iterations", shot, SEARCH_ITERATIONS)
 
 
 def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray) -> tuple[Shot, np.ndarray] | None:

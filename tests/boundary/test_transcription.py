@@ -21,7 +21,7 @@ METHOD = cg.Galerkin(2)
         ({"end": ["1"]}, TypeError, r"end\[0\] must be a number, got '1'"),
         ({"parameters": [1.0]}, ValueError, r"the problem has no parameters, got parameters=\[1.0\]"),
         ({"mesh": [0, 0.5, 1]}, ValueError, "this transcription has 4 intervals, got a mesh of 2"),
-        ({"mesh": [0, 0.6, 0.5, 0.7, 1]}, ValueError, "the joints of a mesh must increase"),
+        ({"mesh": [0, 0.6, 0.5, 0.7, 1]}, ValueError, "the joints of a mesh must be finite and increase"),
         ({"solver": "ipopt"}, TypeError, r"solver must be cg.newton, .* or cg.minimizer, got 'ipopt'"),
         ({"solver": None}, TypeError, "solver must be cg.newton, .* got None"),
         ({"solver": lambda *_: 1}, TypeError, "solver must return a Solution, .* has returned 1; take cg.newton"),

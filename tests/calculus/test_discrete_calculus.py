@@ -246,7 +246,7 @@ METHOD = cg.Galerkin(2)
         (
             {"mesh": [0, 0.7, 0.4, 1]},
             ValueError,
-            r"must increase by more than roundoff, got t\[1\] = 0.7 and t\[2\] = 0.4",
+            r"must be finite and increase by more than roundoff, got t\[1\] = 0.7 and t\[2\] = 0.4",
         ),
         (
             {"mesh": [0, 0.6, 1.5 * 0.4, 1]},
@@ -256,7 +256,7 @@ METHOD = cg.Galerkin(2)
         (
             {"mesh": [0, 0.5, 0.5, 1]},
             ValueError,
-            r"must increase by more than roundoff, got t\[1\] = 0.5 and t\[2\] = 0.5",
+            r"must be finite and increase by more than roundoff, got t\[1\] = 0.5 and t\[2\] = 0.5",
         ),
         ({"mesh": [0, np.nan, 1]}, ValueError, "joints of a mesh must be finite"),
         ({"mesh": [0.1, 1]}, ValueError, "the mesh must run from 0.0 to 1.0, got 0.1 to 1.0"),

@@ -65,11 +65,15 @@ def test_methods_are_values():
         ({"degree": 3, "control_points": [0.2, 0.5j]}, TypeError, "control points must be real numbers"),
         ({"degree": 3, "quadrature": 4}, TypeError, "quadrature must be a Quadrature such as gauss.3., got 4"),
         ({"degree": 3, "quadrature": cg.gauss}, TypeError, "quadrature must be a Quadrature"),
-        ({"degree": 3, "quadrature": cg.gauss(2)}, ValueError, "degree 3 needs at least 3 quadrature points, got 2"),
+        (
+            {"degree": 3, "quadrature": cg.gauss(2)},
+            ValueError,
+            "degree 3 needs at least 3 quadrature points and .*, got 2",
+        ),
         (
             {"degree": 3, "quadrature": COMPOSITE},
             ValueError,
-            "degree 3 needs a quadrature of order 3 at least, got order 2",
+            "degree 3 needs at least .* and order 3, got .* and order 2",
         ),
         (
             {"degree": 2, "quadrature": NEGATIVE},

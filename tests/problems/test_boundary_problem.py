@@ -40,7 +40,11 @@ import casadi_galerkin as cg
         ({"periodic": True}, ValueError, r"a periodic path ends where it starts: leave out end, got \[1.0\]"),
         ({"periodic": "yes", "end": None}, TypeError, "periodic must be True or False, got 'yes'"),
         ({"t_span": (1.0, 0.0)}, ValueError, r"t_span must increase, got \(1.0, 0.0\)"),
-        ({"t_span": (0.0, 1e300)}, ValueError, r"t_span must last 1e-150 to 1e\+150 units of time, got"),
+        (
+            {"t_span": (0.0, 1e300)},
+            ValueError,
+            r"t_span must increase, got \(0.0, 1e\+300\), by 1e-150 to 1e\+150 units of time",
+        ),
         ({"t_span": (1.0, 1.0)}, ValueError, r"t_span must increase, got \(1.0, 1.0\)"),
         ({"t_span": (0.0,)}, ValueError, r"t_span must have 2 components, got 1"),
         ({"t_span": np.linspace(0, 1, 99)}, ValueError, r"two times, \(t_0, t_N\), got 99 numbers; .* by mesh$"),
