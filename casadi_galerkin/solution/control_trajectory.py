@@ -490,6 +490,8 @@ class ControlTrajectory(Trajectory):
 
     def _unbalanced(self) -> list[str]:
         """A line on a Hamiltonian that varies where it should not, as where the cost jumps at a value of a control."""
+        if not self.problem.costs:
+            return []  # it is rounding alone
         fraction = self.hamiltonian_variation / self._costs
         words = f"the Hamiltonian, which should be constant, varies by {fraction:.0e} of the cost; take more intervals"
         return [f"  NOT RESOLVED: {words}"] if fraction > UNBALANCED else []

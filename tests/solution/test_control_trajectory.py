@@ -239,6 +239,16 @@ def test_a_hamiltonian_that_should_be_constant_shows_what_no_derivative_sees(hol
     assert ("NOT RESOLVED: the Hamiltonian, which should be constant, varies by" in repr(blind)) is not hold
 
 
+def test_a_path_without_costs_has_no_hamiltonian_that_varies():
+    """What is left of it is rounding, and says nothing of the mesh."""
+    move = cg.ControlProblem(
+        lambda t, x, v: v[0] ** 2 / 2, (0, 1), 0.0, 1.0, 0.0, 0.0, force=lambda t, x, v, u: u, controls=1
+    )
+    path = cg.solve(move, cg.Galerkin(4), 8)
+    assert path.cost == 0
+    assert "NOT RESOLVED" not in repr(path)
+
+
 @pytest.mark.slow
 def test_a_hamiltonian_that_varies_because_of_given_times_says_so():
     passing = cg.solve(double_integrator(waypoints=[(0.3, [0.9])]), cg.Galerkin(3), 10)
