@@ -29,18 +29,13 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
     if not isinstance(pair, (tuple, list, np.ndarray)) or len(pair) != 2:
         raise TypeError(f"{name} must be a pair (lo, hi), got {value!r}")
     sides = []
-    for side, given, never in zip(("lo", "hi"), pair, (np.inf, -np.inf), strict=True):
-        expected = f"the {side} of {name} must be a number or {counted(size, 'number')}, {-never} where there is none"
-        try:
-            array = real_array(name, given)
-        except TypeError as error:
-            raise TypeError(f"{expected}, got {given!r}") from error
-        if array.size and np.all(array == -never):  # none at all, as where another number of components is stated
-            array = np.array(-never)
-        if array.shape not in ((), (size,)):
-            raise ValueError(f"{expected}, got shape {array.shape}")
-        if (np.isnan(array) | (array == never)).any():
-            raise ValueError(f"the {side} of {name} must not be NaN, nor {never}, got {given!r}")
+    for side, given, none in zip(("lo", "hi"), pair, (-np.inf, np.inf), strict=True):
+        array = real_array(f"the {side} of {name}, {none} where there is none,", given)
+        if array.size and np.all(array == none):  # as where another number of components is stated
+            array = np.array(none)
+        if array.shape not in ((), (size,)) or (np.isnan(array) | (array == -none)).any():
+            expected = f"a number or {counted(size, 'number')}, {none} where there is none"
+            raise ValueError(f"the {side} of {name} must be {expected}, got {given!r}")
         sides.append(np.full(size, array))
     low, high = sides
     if (low > high).any():

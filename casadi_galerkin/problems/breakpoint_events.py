@@ -28,10 +28,8 @@ def timed(kind: str, checked: Callable[[Any, Made], Any]) -> Reader:
     """Read pairs of a time and what is stated there; no two may have the same time."""
 
     def reader(name: str, given: Any, made: Made) -> tuple[tuple[float, Any], ...]:
-        if not isinstance(given, (tuple, list, np.ndarray)):
-            raise TypeError(f"{name} must be pairs {kind}, got {given!r}")
         found: dict[float, Any] = {}
-        for pair in given:
+        for pair in given if isinstance(given, (tuple, list, np.ndarray)) else [given]:
             if not isinstance(pair, (tuple, list)) or len(pair) != 2:
                 raise TypeError(f"{name} must be pairs {kind}, got {pair!r}")
             t = finite(f"the time of a {name[:-1]}", pair[0])

@@ -44,17 +44,29 @@ BADLY_STATED = {
     "bounds of a wrong length": ({"control_bounds": ([0, 0], 1)}, ValueError, "lo of control_bounds .* 1 number"),
     "bounds that are no pair": ({"control_bounds": 3}, TypeError, "must be a pair"),
     "bounds that are no numbers": ({"control_bounds": ("a", 1)}, TypeError, "lo of control_bounds"),
-    "bounds with NaN": ({"control_bounds": (np.nan, 1)}, ValueError, "must not be NaN"),
-    "bounds with None": ({"control_bounds": (None, 1)}, TypeError, "lo of control_bounds .* -inf where there is none"),
-    "bounds in words": ({"control_bounds": ("-1", "1")}, TypeError, "lo of control_bounds .* got '-1'"),
+    "bounds with NaN": ({"control_bounds": (np.nan, 1)}, ValueError, "must be a number .* got nan"),
+    "bounds with None": ({"control_bounds": (None, 1)}, TypeError, "lo of control_bounds, -inf where there is none"),
+    "bounds in words": ({"control_bounds": ("-1", "1")}, TypeError, "lo of control_bounds, .* got '-1'"),
     "bounds without an order": ({"control_bounds": {0, 1}}, TypeError, r"must be a pair \(lo, hi\), got {0, 1}"),
-    "bounds that are truths": ({"control_bounds": (False, True)}, TypeError, "must be a number .* got False"),
-    "nothing above": ({"control_bounds": (np.inf, np.inf)}, ValueError, "lo of control_bounds must not be .* got inf"),
-    "nothing below": ({"position_bounds": (-np.inf, [-np.inf])}, ValueError, "hi of position_bounds must not be"),
+    "bounds that are truths": (
+        {"control_bounds": (False, True)},
+        TypeError,
+        "lo of control_bounds, .* must be real numbers, got False",
+    ),
+    "nothing above": (
+        {"control_bounds": (np.inf, np.inf)},
+        ValueError,
+        "lo of control_bounds must be a number .* got inf",
+    ),
+    "nothing below": (
+        {"position_bounds": (-np.inf, [-np.inf])},
+        ValueError,
+        r"hi of position_bounds must be a number .* got \[-inf\]",
+    ),
     "constraint of no value": (
         {"path_constraint": (lambda t, x, v, u: u, np.inf, np.inf)},
         ValueError,
-        "lo of path_constraint must not be NaN, nor inf",
+        "lo of path_constraint must be a number .* -inf where there is none",
     ),
     "nested forces": (
         {"force": lambda t, x, v, u: [[u[0]]]},
@@ -154,7 +166,7 @@ BADLY_STATED = {
     "bounds of three phases": (
         {"breakpoints": [0.5], "duration_bounds": ([0.1, 0.1, 0.1], 2)},
         ValueError,
-        r"lo of duration_bounds must be a number or 2 numbers, .* got shape \(3,\)",
+        r"lo of duration_bounds must be a number or 2 numbers, .* got \[",
     ),
     "a phase outside its bounds": (
         {"breakpoints": [0.3], "duration_bounds": (0.4, 2)},
@@ -261,7 +273,7 @@ def test_bounds_of_any_kind_are_read(pair):
         ([(1.0, [1.0, (2, 1)])], ValueError, r"at t = 1: the bounds of x\[1\] must have lo <= hi, got 2.0 and 1.0"),
         ([1.0], TypeError, r"waypoints must be pairs \(t, positions\) or .*, got 1.0"),
         ([("noon", [1, 2])], ValueError, "time of a waypoint must be a finite number, got 'noon'"),
-        ([(1.0, [np.nan, 1])], ValueError, r"at t = 1: the lo of the bounds of x\[0\] must not be NaN"),
+        ([(1.0, [np.nan, 1])], ValueError, r"at t = 1: the lo of the bounds of x\[0\] must be .* got nan"),
         (3.0, TypeError, r"waypoints must be pairs \(t, positions\) or .*, got 3.0"),
         ([(1.0, [0.2, 0.0]), (1.0, [0.8, 0.0])], ValueError, "different times, got two at t = 1"),
         (
