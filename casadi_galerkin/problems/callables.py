@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, Literal, TypeAlias, TypeGuard
 
@@ -141,16 +142,15 @@ def _names(function: Any) -> list[str]:
 
 def _check_signature(name: str, function: Traceable, expected: list[str]) -> None:
     """Refuse a callable of other arguments, or of these in another order, as far as its signature is known."""
-    taken = _names(function)
+    try:
+        signature = inspect.signature(function)
+    except ValueError:  # it has none
+        return
+    taken = list(signature.parameters)
     swapped = taken != expected and sorted(taken) == sorted(expected)
     if not swapped:
-        try:
-            inspect.signature(function).bind(*expected)
-        except ValueError:  # it has no signature
-            return
-        except TypeError:
-            pass
-        else:
+        with suppress(TypeError):
+            signature.bind(*expected)
             return
     hint = _about_p(expected) if len(taken) > len(expected) or "p" in expected else ""
     if "u" in taken and "u" not in expected:

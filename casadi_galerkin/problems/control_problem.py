@@ -11,6 +11,7 @@ where z are the components of x that follow rates, and c is a holonomic constrai
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -313,7 +314,8 @@ class ControlProblem(Problem):
     @property
     def limits(self) -> Limited:
         """The path constraints, and behind them the bounded velocities; that of a rated component is its rate."""
-        bounded = tuple(np.flatnonzero(np.isfinite(self.velocity_bounds).any(axis=0)).tolist())
+        pairs = enumerate(zip(*self.velocity_bounds, strict=True))
+        bounded = tuple(i for i, pair in pairs if any(map(math.isfinite, pair)))
         if not bounded:
             return self.path_constraint
         low, high = np.array(self.velocity_bounds)
