@@ -141,7 +141,8 @@ def velocities(
         found, masses = at(v)
     settled = np.zeros(x.shape[1], dtype=bool)
     for _ in range(VELOCITY_ITERATIONS):
-        inverse = _inverse(masses)
+        scaled, scales = scaled_masses(_defined(masses))
+        inverse = np.linalg.pinv(scaled, rcond=DEGENERATE_MASS, hermitian=True) / scales
         step = np.einsum("kij,jk->ik", inverse, momentum - found)
         length = np.max(np.abs(step), axis=0)
         settled |= ~(length > 4 * EPS * np.max(np.abs(v), axis=0))
@@ -162,12 +163,6 @@ def velocities(
     sizes += np.sqrt(EPS) * (np.abs(momentum) + np.abs(found))
     sizes += EPS * np.max(np.abs(momentum), axis=1, keepdims=True)  # where a mass vanishes, p is only rounding
     return np.where((np.isfinite(found) & (np.abs(momentum - found) <= sizes)).all(axis=0), v, np.nan)
-
-
-def _inverse(masses: np.ndarray) -> np.ndarray:
-    """Pseudo-inverses of mass matrices (K, d, d)."""
-    scaled, scales = scaled_masses(_defined(masses))
-    return np.linalg.pinv(scaled, rcond=DEGENERATE_MASS, hermitian=True) / scales
 
 
 def _defined(masses: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import check_method
 from casadi_galerkin.calculus.numbers import components, counted, finite, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.statements import Reader, Rule, check, read
+from casadi_galerkin.problems.statements import Reader, Rule, check
 
 ENDS = ("start", "end")
 END_MOTIONS = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
@@ -52,7 +52,8 @@ class Problem:
 
     def _state(self, given: Mapping[str, Any]) -> None:
         """Read all statements, and refuse what is wrong with them."""
-        self.__dict__.update(read(self.readers, given))  # the classes are frozen
+        for name, reader in self.readers.items():
+            vars(self)[name] = reader(name, given[name], vars(self))  # the classes are frozen
         check(self, (*self.rules, *self.rules_of_values, *self.rules_of_masses))
 
     def __repr__(self) -> str:

@@ -7,7 +7,7 @@ is wrong with it, in words.  A new statement is an entry of a table, and a rule 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -21,14 +21,6 @@ VELOCITIES = "v", "v0", "v1"
 Made: TypeAlias = dict[str, Any]  # what was read, by name
 Reader: TypeAlias = Callable[[str, Any, Made], Any]
 Rule: TypeAlias = Callable[[Any], Iterable[str]]
-
-
-def read(table: Mapping[str, Reader], given: Mapping[str, Any]) -> Made:
-    """Read what is given in the order of a table."""
-    made: Made = {}
-    for name, reader in table.items():
-        made[name] = reader(name, given[name], made)
-    return made
 
 
 def check(problem: object, rules: Iterable[Rule]) -> None:
