@@ -23,7 +23,6 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
-from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.control_answer import answer
@@ -259,7 +258,42 @@ class ControlTranscription:
         numbers, phases = self.numbering, phases_of(problem)
         bounds = self.bounds if problem is self.problem else bounds_of(phases, self.joins, numbers)
         unknowns, data = numbers.pack(start.values)
-        verified = partial(self._verified, solver, problem, calculus, start, began)
+
+        def verified(optimum: Optimum, name: str) -> ControlTrajectory | PhasesTrajectory:
+            values, meshes = numbers.unpack(optimum.unknowns, data), meshes_of(phases, calculus.mesh)
+            timed = zip(numbers.chains, self._timed(values, meshes), strict=True)
+            paths = [chain.path(*given) for chain, given in timed]
+            if optimum.success:
+                for phase, chain, path, found in zip(phases, numbers.chains, paths, values, strict=True):
+                    found["controls"] = continuous_controls(phase, chain, path, found)
+                    optimum.unknowns[chain.fields["controls"]] = found["controls"]
+            report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
+            scales = equation_scales(phases, numbers, optimum.bounds, report, start.sizes)
+            relative = violations(numbers, optimum.bounds, optimum.unknowns, report.equations, scales)
+            violation = float(np.max(relative))
+            if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
+                raise explained(phases, name, numbers, optimum, report.cost, relative, paths)
+            second_order = SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, self.graph)
+            return answer(
+                problem,
+                phases,
+                self.graph,
+                optimum,
+                report,
+                values,
+                paths,
+                second_order,
+                iterations=optimum.iterations,
+                residual=violation / EPS,
+                violation=violation,
+                solver=f"{name} ({optimum.status})",
+                build_seconds=self.build_seconds,
+                solve_seconds=time.perf_counter() - began - self.build_seconds,
+                method=self.method,
+                find_index=second_order.negative,
+                find_comparisons=partial(comparisons, solver),
+            )
+
         step = self._newton
         root = None if step is None else newton(step, numbers.unknown_kinds, unknowns, data, bounds)
         if root is not None:
@@ -270,51 +304,6 @@ class ControlTranscription:
         if optimum.status == INVALID:
             refuse_not_finite(phases, self.graph, unknowns, data)
         return verified(optimum, SOLVER_NAMES[solver.name])
-
-    def _verified(
-        self,
-        solver: Solver,
-        problem: ControlProblem | Phases,
-        calculus: DiscreteCalculus,
-        start: StartingPoint,
-        began: float,
-        optimum: Optimum,
-        name: str,
-    ) -> ControlTrajectory | PhasesTrajectory:
-        """The answer at the last point of a solver, which is verified."""
-        numbers, phases, bounds, data = self.numbering, phases_of(problem), optimum.bounds, optimum.data
-        values, meshes = numbers.unpack(optimum.unknowns, data), meshes_of(phases, calculus.mesh)
-        paths = [chain.path(*given) for chain, given in zip(numbers.chains, self._timed(values, meshes), strict=True)]
-        if optimum.success:
-            for phase, chain, path, found in zip(phases, numbers.chains, paths, values, strict=True):
-                found["controls"] = continuous_controls(phase, chain, path, found)
-                optimum.unknowns[chain.fields["controls"]] = found["controls"]
-        report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        scales = equation_scales(phases, numbers, bounds, report, start.sizes)
-        relative = violations(numbers, bounds, optimum.unknowns, report.equations, scales)
-        violation = float(np.max(relative))
-        if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
-            raise explained(phases, name, numbers, optimum, report.cost, relative, paths)
-        second_order = SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, self.graph)
-        return answer(
-            problem,
-            phases,
-            self.graph,
-            optimum,
-            report,
-            values,
-            paths,
-            second_order,
-            iterations=optimum.iterations,
-            residual=violation / EPS,
-            violation=violation,
-            solver=f"{name} ({optimum.status})",
-            build_seconds=self.build_seconds,
-            solve_seconds=time.perf_counter() - began - self.build_seconds,
-            method=self.method,
-            find_index=second_order.negative,
-            find_comparisons=partial(comparisons, solver),
-        )
 
     def _timed(
         self, values: list[dict[str, np.ndarray]], meshes: list[np.ndarray]
@@ -349,8 +338,7 @@ class ControlTranscription:
         near = near_answer(guess, numbers, calculi)
 
         def values_at(some: Any, same: bool, factor: float) -> list[dict[str, np.ndarray]]:
-            times = times_at(calculus.mesh, numbers.chains[0].control_times)
-            guesses = guesses_of_phases(problem, calculus, calculi, some, times)
+            guesses = guesses_of_phases(problem, numbers.chains[0], calculus, calculi, some)
             given = zip(phases, numbers.chains, calculi, guesses, strict=True)
             return [first_values(*each, same, factor) for each in given]
 

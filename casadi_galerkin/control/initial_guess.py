@@ -49,8 +49,7 @@ def first_values(
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
     lasts, degree = mesh[-1] - mesh[0], chain.method.degree
     if isinstance(guess, ControlTrajectory):
-        now = np.array(section_times(problem))
-        path_guess, control_guess = _of_answer(guess, near, chain, calculus, now)
+        path_guess, control_guess = _of_answer(guess, near, problem, chain, calculus)
     path = _path(problem, calculus, path_guess)
     slopes, parameters = np.diff(path[[0, 1, -2, -1]], axis=0)[::2], np.array(problem.parameters or ())
     at_ends, begin, duration = slopes / np.diff(times[[0, 1, -2, -1]])[::2, None], mesh[0], longer * lasts
@@ -80,10 +79,10 @@ def first_values(
 
 def guesses_of_phases(
     problem: ControlProblem | Phases,
+    first: Chain,
     whole: DiscreteCalculus,
     calculi: Sequence[DiscreteCalculus],
     guess: Any,
-    times: np.ndarray,
 ) -> list[Any]:
     """A guess of every phase.
 
@@ -92,9 +91,9 @@ def guesses_of_phases(
 
     Parameters
     ----------
+    first : Chain of the first phase
     whole, calculi : of the whole, and of the phases
     guess : of the whole
-    times : (N points,), those of the controls of the whole
     """
     count = len(calculi)
     if count == 1:
@@ -108,13 +107,10 @@ def guesses_of_phases(
         if guess is None:
             return _lines(problem)
         return guess if isinstance(guess, list) else [guess] * count
-    mesh = whole.mesh
+    mesh, times = whole.mesh, times_at(whole.mesh, first.control_times)
     path_guess, controls = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     if isinstance(guess, ControlTrajectory):
-        own, other = section_times(problem), section_times(guess.problem)
-        path_guess, controls = (
-            of(map_times(at, own, other)) for of, at in ((guess, whole.node_times), (guess.control, times))
-        )
+        path_guess, controls = _of_answer(guess, False, problem, first, whole)
     path = PiecewisePolynomial(mesh, whole.method.element.nodes, _path(problem, whole, path_guess).T)
     cuts = np.cumsum([0, *(len(one.mesh) - 1 for one in calculi)])
     parts = (
@@ -155,9 +151,9 @@ def _lines(problem: Phases) -> list[Any]:
 
 
 def _of_answer(
-    answer: ControlTrajectory, near: bool, chain: Chain, calculus: DiscreteCalculus, now: np.ndarray
+    answer: ControlTrajectory, near: bool, problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Node values and controls of an earlier solution, at the same fractions of the phases between the times `now`."""
+    """Node values and controls of an earlier solution, at the same fractions of the phases of a problem."""
     if len(answer.x) != chain.dimension:
         raise ValueError(f"the guess must be a path of {counted(chain.dimension, 'component')}, got {len(answer.x)}")
     controls = len(answer.control.values)
@@ -165,8 +161,9 @@ def _of_answer(
         raise ValueError(f"the guess must have {counted(chain.controls, 'control')}, got {controls}")
     if near:
         return answer.polynomial.values, answer.control.values
+    now, then = (np.array(section_times(one)) for one in (problem, answer.problem))
     times = calculus.node_times, times_at(calculus.mesh, chain.control_times)
-    nodes, points = (map_times(t, now, section_times(answer.problem)) for t in times)
+    nodes, points = (map_times(t, now, then) for t in times)
     return answer(nodes), answer.control(points)
 
 
