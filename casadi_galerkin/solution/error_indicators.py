@@ -187,10 +187,10 @@ class _Sampled:
         return _at_places(self.problem, function, self.times, self.h, self.x, self.v * self.h)
 
     def in_place(self, function: ca.Function, varied: int) -> list[np.ndarray]:
-        """Values of a Function of the arguments of L̂ where only x or only x' varies on an interval; (3 N K, ...) each.
+        """Values of a Function of the arguments of L̂ where only x or only x' varies on an interval; (5 N K, ...) each.
 
-        It varies a little beyond the joints between two intervals.  Time, and x' or x, are those of the first, then of
-        a middle and of the last quadrature point: what moves may be crossed between the others.
+        It varies a little beyond the joints between two intervals.  Time, and x' or x, are those of both
+        joints and of the first, a middle and the last quadrature point: what moves may be crossed at any of them.
 
         Parameters
         ----------
@@ -200,9 +200,9 @@ class _Sampled:
         beyond, last = both[varied].reshape(len(self.x), *numbers.shape).copy(), 1 + len(self._weights)
         for joint, inside, inner in ((0, 2, slice(1, None)), (1, last, slice(-1))):  # a joint may be where L steps
             beyond[:, inner, joint] += REACH_BEYOND_JOINTS * (beyond[:, inner, joint] - beyond[:, inner, inside])
-        fixed = np.repeat(numbers[:, [2, 2 + len(self._weights) // 2, last]].T, numbers.shape[1])
+        fixed = np.repeat(numbers[:, [0, 2, 2 + len(self._weights) // 2, last, 1]].T, numbers.shape[1])
         place = [values[:, fixed] for values in both]
-        place[varied] = np.tile(beyond.reshape(len(self.x), -1), 3)
+        place[varied] = np.tile(beyond.reshape(len(self.x), -1), 5)
         return _at_places(self.problem, function, self.times[fixed], self.h[fixed], *place)
 
     def unexplained(self, varied: int, values: np.ndarray, derivatives: np.ndarray, terms: np.ndarray) -> np.ndarray:
@@ -211,13 +211,13 @@ class _Sampled:
         Parameters
         ----------
         varied : 0 where x has varied, 1 where x' has
-        values : (3 N K, k)
-        derivatives : by what has varied, (3 N K, k, d)
-        terms : sizes of the terms that are summed up to the values, (3 N K, k)
+        values : (5 N K, k)
+        derivatives : by what has varied, (5 N K, k, d)
+        terms : sizes of the terms that are summed up to the values, (5 N K, k)
         """
         count = len(self.steps)
         moved = np.ptp((self.x, self.v * self.h)[varied].reshape(len(self.x), count, -1), axis=2).T
-        values = values.reshape(3, count, -1, values.shape[1])
+        values = values.reshape(5, count, -1, values.shape[1])
         steepest = np.max(np.abs(derivatives).reshape(*values.shape, -1), axis=2)
         rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(terms).reshape(values.shape), axis=2)
         explained = STEP_RATIO * np.einsum("jnkd,nd->jnk", steepest, moved) + rounded
@@ -279,6 +279,7 @@ def _most_change(at: _Sampled) -> np.ndarray:
     return np.where(np.isfinite(change), change, np.inf)
 
 
+@np.errstate(invalid="ignore")  # L may be infinite
 def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
     """Whether ∂L/∂x, with a force added, steps in x or v on an interval, as that of |x| and dry friction do; (N,).
 
