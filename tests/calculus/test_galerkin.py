@@ -1,5 +1,7 @@
 """The method: its order, its control points and their warnings, what it refuses."""
 
+import warnings
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,6 +11,27 @@ import casadi_galerkin as cg
 
 COMPOSITE = cg.Quadrature([0, 1 / 2, 1], [1 / 4, 1 / 2, 1 / 4])  # two trapezoids
 NEGATIVE = cg.Quadrature([0.0, 0.1], [-4.0, 5.0])
+
+
+@pytest.mark.parametrize("degree", range(2, 11))
+def test_equispaced_control_points_up_to_ten_pass_without_a_word(degree):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        cg.Galerkin(degree, control_points=cg.equispaced_points(degree))
+
+
+@pytest.mark.parametrize("degree", [11, 12, 20])
+def test_equispaced_control_points_above_ten_warn(degree):
+    with pytest.warns(RuntimeWarning, match=rf"magnify roundoff .* lobatto_points\({degree}\)") as caught:
+        cg.Galerkin(degree, control_points=cg.equispaced_points(degree))
+    assert caught[0].filename == __file__  # the caller's line
+
+
+@pytest.mark.parametrize("points", [cg.lobatto_points, cg.chebyshev_points])
+def test_the_other_families_do_not_warn_at_degree_one_hundred(points):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        cg.Galerkin(100, control_points=points(100))
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ sine = ca.Function("sine", [TIME], [ca.sin(TIME)])
         (
             ([1, 0], [[0, 1]]),
             ValueError,
-            r"its times are no mesh: .* must increase by more than roundoff, got t\[0\] = 1.0 and t\[1\] = 0.0",
+            r"its times are no mesh: .* increase by more than roundoff, got t\[0\] = 1.0 and t\[1\] = 0.0",
         ),
         ((lambda t: [t], lambda t: [t]), TypeError, r"a pair as guess is \(times, values\), and its times are no mesh"),
         ([lambda t: [t], lambda t: [t]], TypeError, r"such as \(path, controls\), must be a tuple, got a list"),
