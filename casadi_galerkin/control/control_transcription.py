@@ -48,7 +48,7 @@ from casadi_galerkin.control.program_bounds import (
     violations,
 )
 from casadi_galerkin.control.second_order import SecondOrder
-from casadi_galerkin.control.starts import LONGER_DURATION, first_found
+from casadi_galerkin.control.starts import LONGER_DURATION, distinct_optima, first_found
 from casadi_galerkin.control.two_comparisons import compared, from_near
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, fork_waits, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
@@ -80,11 +80,13 @@ class StartingPoint:
     values : one array for every field of the `Chain` of every phase but impulses, which begin at zero
     duals : multipliers of the bounds and of the equations for a warm start, or an empty tuple
     sizes : sizes of the terms of every kind of equation
+    known : whether it is an earlier answer
     """
 
     values: list[dict[str, np.ndarray]]
     duals: tuple[np.ndarray, ...]
     sizes: np.ndarray
+    known: bool
 
 
 class ControlTranscription:
@@ -160,6 +162,9 @@ class ControlTranscription:
         verbose: int = 0,
     ) -> ControlTrajectory:
         """Solve for the optimal path; whatever is left out is taken from the problem.
+
+        Where IPOPT ends at a saddle and the guess was no earlier answer, it goes on once from beside the saddle; the
+        saddle is returned, and said, where no lower cost is found.
 
         Parameters
         ----------
@@ -254,7 +259,10 @@ class ControlTranscription:
         verbose: int,
         began: float,
     ) -> ControlTrajectory | PhasesTrajectory:
-        """The verified solution of one solver from a starting point, or of Newton's method where that finds one."""
+        """The verified solution of one solver from a starting point, or of Newton's method where that finds one.
+
+        The inertia that IPOPT itself finds in its last step leaves no doubt about most minima, which then cost nothing.
+        """
         numbers, phases = self.numbering, phases_of(problem)
         bounds = self.bounds if problem is self.problem else bounds_of(phases, self.joins, numbers)
         unknowns, data = numbers.pack(start.values)
@@ -303,7 +311,19 @@ class ControlTranscription:
         optimum = optimize(program, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
         if optimum.status == INVALID:
             refuse_not_finite(phases, self.graph, unknowns, data)
-        return verified(optimum, SOLVER_NAMES[solver.name])
+        path = verified(optimum, SOLVER_NAMES[solver.name])
+        if start.known or not (optimum.doubtful and path.morse_index):
+            return path
+        saddle = SecondOrder(problem, self.method, calculus.mesh, optimum, path.cost, self.graph)
+        program, beside = self._kept_program(solver, False, verbose), saddle.downwards()
+        lower = optimize(program, beside, data, bounds, BOUND_RELAXATION[solver.name])
+        iterations = path.iterations + lower.iterations
+        with suppress(ConvergenceError):
+            least = verified(lower, SOLVER_NAMES[solver.name])
+            if least.cost < path.cost and len(distinct_optima([least, path])) > 1:
+                report = f"{least.solver}, beside a saddle of cost {path.cost:.6g}"
+                return replace(least, solver=report, iterations=iterations)
+        return replace(path, iterations=iterations)
 
     def _timed(
         self, values: list[dict[str, np.ndarray]], meshes: list[np.ndarray]
@@ -360,7 +380,7 @@ class ControlTranscription:
             momentum = guess.phases[k].momentum[: chain.mechanical].T if near else -report.equations[chain.departures]
             found["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / found["sizes"]
         duals = (guess.duals[1], guess.duals[0] * numbers.units(values)) if near else ()
-        return StartingPoint(values, duals, scaled)
+        return StartingPoint(values, duals, scaled, isinstance(guess, (ControlTrajectory, PhasesTrajectory)))
 
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """Build the solver for this program."""

@@ -58,6 +58,7 @@ class Optimum:
     success : whether the solver reports an optimum
     status : its return status
     iterations : int
+    doubtful : whether it may be a saddle: IPOPT's last step needed a regularized Hessian, or it took none
     """
 
     data: np.ndarray
@@ -68,6 +69,7 @@ class Optimum:
     success: bool
     status: str
     iterations: int
+    doubtful: bool
 
 
 def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
@@ -161,7 +163,8 @@ def optimize(
     status = FATROP_WORDS.get(status, status)
     low, high = narrow.unknowns
     unknowns = np.where(low == high, low, x)  # in fatrop given values are equations
-    ended = bool(stats["success"]), status, int(stats["iter_count"])
+    shifts = stats.get("iterations", {}).get("regularization_size", [])
+    ended = bool(stats["success"]), status, int(stats["iter_count"]), len(shifts) == 1 or any(shifts[-1:])
     return Optimum(data, bounds, unknowns, of_equations, of_bounds, *ended)
 
 
@@ -206,7 +209,9 @@ def newton(
             simplified, next_size = step_at(unknowns, unknowns + step)
             if size * next_size <= EPS:  # the next but one would be rounding
                 found, zeros = unknowns + step + simplified, np.zeros(len(rows))
-                return Optimum(data, bounds, found, zeros, np.zeros(len(found)), True, "Solve Succeeded", iteration)
+                return Optimum(
+                    data, bounds, found, zeros, np.zeros(len(found)), True, "Solve Succeeded", iteration, False
+                )
             while not next_size <= (1 - damping / 4) * size:
                 damping /= 2
                 if not damping > np.sqrt(EPS):

@@ -102,6 +102,37 @@ class SecondOrder:
 
         A relative decrease of at most `COST_CHANGE`, for changes as large as the path, is not counted.
         """
+        matrix, _ = self._second_variation()
+        return negative_pivots(matrix, factors_of(matrix.sparsity()))
+
+    def downwards(self) -> np.ndarray:
+        """Unknowns that are moved from a saddle to where the cost is less, by the size of the path, within bounds.
+
+        From A = LDLᵀ, the solution of Lᵀ z = e_k has zᵀA z = D_k: of these, the one along which the cost falls most
+        steeply, with the sign of less Lagrangian.
+        """
+        (matrix, to_unknowns), at, graph = self._second_variation(), self.optimum, self._graph()
+        pivots, upper, order = ca.ldl(matrix)
+        pivots = np.array(pivots).ravel()
+        below = np.flatnonzero(pivots < 0)
+        ends = np.zeros((len(pivots), len(below)))
+        ends[below, np.arange(len(below))] = 1.0
+        ways = np.zeros_like(ends)
+        ways[order] = ca.solve(ca.DM.eye(len(pivots)) + upper, ca.DM(ends)).full()
+        steepest = np.argmin(pivots[below] / np.sum(ways**2, axis=0))
+        way = ways[:, [steepest]]
+        step = 1 / np.max(np.abs(way)) * np.array(to_unknowns @ way).ravel()
+        moved = [np.clip(at.unknowns + sign * step, *at.bounds.unknowns) for sign in (1.0, -1.0)]
+
+        def lagrangian(unknowns: np.ndarray) -> float:
+            cost, _ = graph.gradient(unknowns, at.data)
+            equations, _ = graph.jacobian(unknowns, at.data)
+            return float(cost + ca.dot(equations, at.multipliers))
+
+        return min(moved, key=lagrangian)
+
+    def _second_variation(self) -> tuple[ca.DM, ca.DM]:
+        """The second variation with the active constraints as penalties, and the matrix to unknowns from its own."""
         graph, at = self._graph(), self.optimum
         numbers = graph.numbering
         values, gradients = graph.jacobian(at.unknowns, at.data)
@@ -117,7 +148,7 @@ class SecondOrder:
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
         if largest == 0:
-            return 0  # the cost does not vary
+            return ca.DM.eye(1), ca.DM(numbers.unknowns, 1)  # the cost does not vary
         if costs:
             inequalities = (
                 (at.unknowns, at.bound_multipliers, at.bounds.unknowns),
@@ -134,7 +165,7 @@ class SecondOrder:
         lengths = ca.sqrt(ca.sum2(gradients**2))
         gradients = ca.mtimes(ca.diag(1 / ca.if_else(lengths > 0, lengths, 1.0)), gradients)
         matrix = hessian + ca.mtimes(gradients.T, gradients) / CONSTRAINT_PENALTY
-        return negative_pivots(matrix, factors_of(matrix.sparsity()))
+        return matrix, ca.mtimes(units[:, free], change)
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "graph": None}

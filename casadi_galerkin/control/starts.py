@@ -129,7 +129,7 @@ def optima_of(starts: int, problem: Any, guess: Guess | None, solve: Callable[..
     return optima, summary
 
 
-def distinct_optima(optima: list[ControlTrajectory]) -> list[ControlTrajectory]:
+def distinct_optima(optima: list[Any]) -> list[Any]:
     """Optima of different costs, from a list with increasing costs."""
     costs = np.array([optimum.cost for optimum in optima])
     new = np.append(True, np.diff(costs) > SAME_COST * np.abs(costs[1:]) + TOLERANCE)
