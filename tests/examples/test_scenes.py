@@ -864,6 +864,11 @@ def reacts_as_published(module, path):
     np.testing.assert_allclose(found, module.PUBLISHED, rtol=1e-9)
 
 
+def walks_as_published(module, path):
+    np.testing.assert_allclose(path.x[:2, 0], module.PUBLISHED, rtol=1e-11)
+    np.testing.assert_allclose(np.array(module.step(path.x[:, 0], path.x[:, -1])), 0, atol=1e-14)
+
+
 def squares_as_published(module, path):
     assert path.cost == pytest.approx(module.PUBLISHED, abs=5e-7)  # as many digits as there are
     p = path.parameters
@@ -980,6 +985,7 @@ TABLE = [
     ("free_flying_robot", thrusters_switch, "the robot drifts, and its thrusters switch, with the published fuel"),
     ("delta_iii", launched_as_published, "the rocket of four phases carries the published mass into orbit"),
     ("robertson", reacts_as_published, "Robertson's reactions are as published, the third one without a rate"),
+    ("walking", walks_as_published, "the simplest walker walks as published, and every step as the one before"),
     ("pinene", squares_as_published, "the constants of pinene leave the published sum of squares"),
     ("climb", climbs_by_tables, "the aircraft climbs nearly as fast as published, and flies there when integrated"),
     ("hypersensitive", layers_at_both_ends, "the hypersensitive problem has its two layers at the exact cost"),
