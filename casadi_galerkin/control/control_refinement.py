@@ -59,6 +59,7 @@ HARDLY_DETERMINED = (
     "The cost hardly depends on the path: ask tol of=lambda path: path.cost, add a small cost of the control, or leave "
     "out a waypoint at a free time that asks for nothing"
 )
+ABSOLUTE = "The solver's tolerances are absolute: measure in units in which costs and controls are about one"
 
 
 def control_method_for(tol: float) -> Galerkin:
@@ -202,12 +203,12 @@ class ControlRefinement(Refinement[Any, Any]):
         if detail.step_in_place ** (1 if self.of is None else 2) > least:
             hint = f"At t = {detail.step_time:.6g} {STEP}"
             raise self.stopped("no mesh takes away the error of a step", *self.best, hint)
-        left = detail.path.solver_error
-        before, self.solver_error_prevails = self.solver_error_prevails, left > least and self.of is None
+        what, left, hint = "x", detail.path.solver_error, HARDLY_DETERMINED
+        if self.of is not None:
+            what, left, least, hint = "the cost", detail.of_cost(detail.path.unseen_change), self.goal, ABSOLUTE
+        before, self.solver_error_prevails = self.solver_error_prevails, left > least
         if before and self.solver_error_prevails:
-            raise self.stopped(
-                f"the remaining solver error of x is {left:.0e} of its size", *self.best, HARDLY_DETERMINED
-            )
+            raise self.stopped(f"the remaining solver error of {what} is {left:.0e} of its size", *self.best, hint)
 
     def solve_on(self, mesh: np.ndarray, level: ControlTrajectory) -> ControlTrajectory:
         """Solve from the better path or, where none is found from there, from the first guess on a finer mesh."""

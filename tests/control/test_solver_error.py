@@ -71,13 +71,13 @@ def test_controls_that_share_the_work_anyhow_leave_no_doubt_of_the_path():
 
 @pytest.mark.slow
 def test_a_component_that_a_symmetry_keeps_at_zero_leaves_no_doubt_of_the_path():
-    """Straight over a hill of cost; what rounding made of the second component was compared with itself."""
+    """Straight through a valley of cost; what rounding made of the second component was compared with itself."""
     ends = {"start": [-1.0, 0.0], "end": [1.0, 0.0], "start_velocity": [0.0] * 2, "end_velocity": [0.0] * 2}
     problem = double_integrator(
         **ends,
         lagrangian=lambda t, x, v: ca.sumsqr(v) / 2,
         controls=2,
-        running_cost=lambda t, x, v, u: ca.sumsqr(u) / 2 + 100 * ca.exp(-8 * ca.sumsqr(x)),
+        running_cost=lambda t, x, v, u: ca.sumsqr(u) / 2 - 100 * ca.exp(-8 * ca.sumsqr(x)),
     )
     path = cg.solve(problem, tol=1e-4)
     assert path.solver_error < 1e-9
@@ -236,3 +236,11 @@ def test_no_cost_is_called_open_where_all_controls_are_at_their_bounds(tol):
     assert "NOT DETERMINED" not in repr(fixed)
     path = cg.solve(burn, tol=tol)
     assert abs(path.cost - 0.6) <= path.cost_error < 1e-9
+
+
+@pytest.mark.slow
+def test_a_cost_that_units_keep_from_the_solver_is_told_after_two_levels():
+    """No mesh helps; the mesh that a quantity then asks for has no end."""
+    units = {"lengths": [1.4e-5, 1.3e-4, 4.1e-4], "time": 3.4e-2, "price": 1.3e-7, "force": 2e4}
+    with pytest.raises(cg.LimitReached, match=r"remaining solver error of the cost is .* measure in units in which"):
+        cg.solve(coupled_masses(**units), tol=1e-6, of=lambda path: path.cost)
