@@ -136,8 +136,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
         if largest > max(self.tol, FLOOR_FACTOR * EPS):
             return Estimate(largest, False, "Legendre coefficients", self.parts(truncation))
         self.check_time()
-        graph, floor = self.graph(path), self.floor(level)
-        error, varied = discretization_error(graph, path)
+        graph, floor, refined = self.graph(path), self.floor(level), not self.regular(level)
+        error, varied = discretization_error(graph, path, refined)
         self.check_time()
         error = math.hypot(error, floor)
         self.roundoff_level = FLOOR_FACTOR * max(floor, EPS * np.max(np.abs(path.mesh)) / np.ptp(path.mesh))
@@ -149,7 +149,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
             return Estimate(float(np.max(indicator)), False, source, parts)
         error = max(error, float(np.max(indicator)))
         if error <= self.first_tol:
-            agreed = agreement(graph, path, varied)
+            agreed = agreement(graph, path, varied, refined)
             if agreed < REQUIRED_AGREEMENT:
                 graph.check_second_variation(level)
                 words = "responses to forces, which differ with the degree: the ends are nearly conjugate"

@@ -22,13 +22,19 @@ SMALL_RESPONSE = 1e-6  # responses below this part of the largest mean response 
 ROUNDING_RMS = 0.2  # root mean square of the error of rounding to the nearest double, over eps
 
 
-def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> tuple[float, PiecewisePolynomial]:
+def discretization_error(
+    graph: BoundaryGraph, path: PiecewisePolynomial, refined: bool = True
+) -> tuple[float, PiecewisePolynomial]:
     """Largest error of a path of the graph's degree, relative to the size of its components.
 
     The first Newton step from it in a higher degree on the same mesh estimates its error, at the joints and between
     them.  With the second step it is extrapolated as a geometric series.  Where the duration is free, a step of the
     duration counts as the distance that the path moves in that time.  The error of the multiplier of a given integral
     counts as well, relative to the multiplier, or to how it changes with the path where that changes by its size.
+
+    Parameters
+    ----------
+    refined : whether to refine the responses iteratively, which matters where the Hessian is nearly singular
 
     Returns
     -------
@@ -60,6 +66,8 @@ def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> tup
             sizes = np.fmax(sizes, np.abs(graph.integral_multipliers(by)) / max(moved(by), TINY))
         there, forces = unknowns + step, _generic_forces(graph, path, at.mass)
         again, *varied = at.solve(at.relinearize(there, data), *forces)
+        if refined:
+            varied = at.refined(there, data, forces, varied)
     error = math.inf
     if np.isfinite([step, again]).all():
         first, second = changed(step), changed(again)
@@ -67,7 +75,9 @@ def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> tup
     return error, _joined(graph, path, varied)
 
 
-def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: PiecewisePolynomial) -> float:
+def agreement(
+    graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: PiecewisePolynomial, refined: bool = True
+) -> float:
     """Agreement, from 0 to 1, of the responses of a path to the same forces in the graph's degree and in a higher one.
 
     Where the ends hardly determine a path, as in ε x'' = t x' by exp(-1/2ε), a mesh that is too coarse for the path's
@@ -76,7 +86,7 @@ def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: Piecew
 
     It is the smallest ratio, over all forces and components, of the mean responses over the nodes.  Means are taken
     because single responses may be large in a layer that the path itself does not have.  A small mean counts as
-    `SMALL_RESPONSE` times the largest.  `of_higher` is that of `discretization_error`.
+    `SMALL_RESPONSE` times the largest.  `of_higher` and `refined` are those of `discretization_error`.
     """
     if not graph.numbering.positions:
         return 1.0  # nothing can vary
@@ -85,6 +95,8 @@ def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: Piecew
         at.relinearize(unknowns, data)
         forces = _generic_forces(graph, path, at.mass)
         varied = at.solve(*forces)
+        if refined:
+            varied = at.refined(unknowns, data, forces, varied)
     of_lower = _joined(graph, path, varied)
     if not (np.isfinite(of_lower.values).all() and np.isfinite(of_higher.values).all()):
         return 0.0  # one of the Hessians is singular

@@ -262,6 +262,8 @@ class Functional:
           interval; gradient ∇S; terms, the sums of the sizes of the gradient's terms
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - by_data : with a direction of every input but the unknowns -> change of ∇S along them
+        - product : with direction of the unknowns -> change of ∇S along it, ∇²S times the direction, summed over the
+          points, so that it has no rounding of the entries of ∇²S
         """
         builders: dict[str, Callable[[], Parts]] = {
             "action": lambda: ({}, {"action": self.action}),
@@ -270,7 +272,8 @@ class Functional:
             "derivatives": lambda: ({}, dict(zip(("matrix", "gradient", "mass"), self.derivatives, strict=True))),
             "summary": lambda: ({}, self.first_variation),
             "curvature": self._curvature,
-            "by_data": self._change_by_data,
+            "by_data": lambda: self._change_by(*list(self.symbols)[1:]),
+            "product": lambda: self._change_by("unknowns"),
         }
         return self.keep(name, builders[name])
 
@@ -285,8 +288,9 @@ class Functional:
             positive += ca.bilin(ca.fabs(self._further), *map(ca.fabs, directions.values()))
         return directions, {"signed": signed, "positive": positive}
 
-    def _change_by_data(self) -> Parts:
-        symbols = {f"{name}_direction": symbol for name, symbol in list(self.symbols.items())[1:]}
+    def _change_by(self, *names: str) -> Parts:
+        """The change of ∇S along a direction of each of these symbols."""
+        symbols = {f"{name}_direction": self.symbols[name] for name in names}
         directions = {name: ca.MX.sym(name, symbol.numel()) for name, symbol in symbols.items()}
         changes = [ca.jtimes(self.gradient, symbols[name], direction) for name, direction in directions.items()]
         return directions, {"change": ca.densify(sum(changes[1:], changes[0]))}  # few rows may depend on data

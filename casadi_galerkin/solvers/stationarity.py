@@ -13,7 +13,7 @@ only one solve uses at a time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
@@ -277,6 +277,17 @@ class Linearization:
         chosen = slice(numbering.everywhere.start, numbering.everywhere.start + numbering.integrals)
         matrix = ca.DM(self.stationarity.linear_solver.sparsity, self.matrix.tolist())
         return gradient[chosen], np.array(matrix[chosen, : numbering.positions])
+
+    def refined(
+        self, unknowns: np.ndarray, data: Data, rhs: Iterable[np.ndarray], solutions: list[np.ndarray]
+    ) -> list[np.ndarray]:
+        """Solutions of ∇²S y = -b after one step of iterative refinement; the present ∇²S is that at `unknowns`.
+
+        The residual is summed over the points, without the entries of ∇²S: where ∇²S is nearly singular, the rounding
+        of its entries changes the solutions a thousand times more than the rounding of the terms at the points.
+        """
+        residuals = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(solutions, rhs, strict=True)]
+        return [y + correction for y, correction in zip(solutions, self.solve(*residuals), strict=True)]
 
     def rounding_effects(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Changes of the unknowns by rounding of the terms of ∇S at a point, by eps and with random signs.

@@ -12,7 +12,7 @@ from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement
-from casadi_galerkin.boundary.error_estimate import discretization_error
+from casadi_galerkin.boundary.error_estimate import agreement, discretization_error
 from casadi_galerkin.boundary.transcription import GraphCache
 
 TOLERANCES = (1e-3, 1e-6, 1e-12)
@@ -344,6 +344,16 @@ def test_no_lucky_estimate_is_accepted_near_a_conjugate_point(gap, tol):
         assert tol < 200 * EPS / gap  # nothing that could be reached is refused
         return
     assert relative_error(path, lambda t: np.sin(t)[None]) <= WORST * tol
+
+
+@pytest.mark.parametrize("degree", [5, 8])
+@pytest.mark.parametrize("gap", [1e-9, *slow(1e-10)])
+def test_forces_move_a_nearly_conjugate_path_alike_in_two_degrees(gap, degree):
+    """As far as rounding of the terms allows; that of the Hessian's entries makes a difference of 2e-2 at 1e-10."""
+    graph = cg.transcribe(nearly_conjugate(gap), cg.Galerkin(degree), 13)
+    path = graph.solve().polynomial
+    _, of_higher = discretization_error(graph.higher, path)
+    assert 1 - agreement(graph, path, of_higher) <= 1e3 * EPS / gap
 
 
 @pytest.mark.parametrize(("order", "tol"), [(1, 1e-5), (2, 1e-9)])

@@ -146,6 +146,9 @@ def test_derivatives_are_those_of_the_action(case, intervals, rng):
     for got, wanted in ((tr.gradient, gradient), (tr.hessian, hessian)):
         a, b = np.array(got(unknowns, *given)), np.array(ca.Function("f", [x], [wanted])(unknowns))
         np.testing.assert_allclose(a, b, rtol=ROUNDOFF, atol=ROUNDOFF * np.max(np.abs(b)))
+    direction = rng.normal(size=len(unknowns))
+    image = np.array(tr.functional.function("product")(unknowns, *given, direction)).ravel()
+    np.testing.assert_allclose(image, a @ direction, rtol=ROUNDOFF, atol=ROUNDOFF * np.max(np.abs(a)))
 
 
 @pytest.mark.parametrize("degree", [1, 2])
