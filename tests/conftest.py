@@ -1,17 +1,22 @@
 """What tests of several folders need."""
 
+import time
 from importlib import import_module
 
 import pytest
 
 
+def called_once(solve):
+    began = time.perf_counter()
+    return solve(), time.perf_counter() - began
+
+
 @pytest.fixture(scope="session", autouse=True)
 def brief_trades():
-    """Every way of a trade is solved once for the first time, and repeated once: nothing here tests seconds."""
+    """Every way of a trade is solved once for the first time, and once again: nothing here tests seconds."""
     with pytest.MonkeyPatch.context() as patch:
         module = import_module("casadi_galerkin.studies.trade")
-        patch.setattr(module, "LONG", 0.0)
-        patch.setattr(module, "FIRST_CALLS", 1)
+        patch.setattr(module, "_timed", called_once)
         yield
 
 

@@ -2,8 +2,8 @@
 
 A way to solve is a `Row` that is not yet measured: a method on a number of intervals, or a tolerance, with a solver; or
 shooting.  Each way first solves a copy of the problem, for which nothing is built or differentiated yet, and then
-repeats the solve on what it has built.  Errors are differences to a reference, which is given or solved for
-(`reference`).
+repeats the solve on what it has built.  Errors are differences to a reference, a path or a callable that is given, or
+else a solve near rounding, whose own error is estimated.
 """
 
 from __future__ import annotations
@@ -14,36 +14,43 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from casadi_galerkin._solve import transcribe
+from casadi_galerkin._solve import solve, transcribe
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted, flag
+from casadi_galerkin.calculus.numbers import APART, counted, flag
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.control_transcription import check_solver
+from casadi_galerkin.control.idle_breakpoints import with_joined_phases
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_kind, check_types, map_times, section_times
-from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import Guess, guess_values
+from casadi_galerkin.problems.problem import Problem, check_kind, check_types, map_times, section_times
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
+from casadi_galerkin.solution.guess import Guess, check_finite_values, guess_values, sampled
 from casadi_galerkin.solution.limits import check_tolerance
+from casadi_galerkin.solution.path import DRAWN_TIMES
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.quantity import Quantity, check_quantity, quantity, size_of
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.studies.parallel import picklable_problem
-from casadi_galerkin.studies.reference import AnyProblem, Reference, ReferenceSolution, check_reference, finest
-from casadi_galerkin.studies.trade_table import Row, Trade, name_of
+from casadi_galerkin.studies.trade_table import LEAST_ERROR, AnyProblem, Row, Trade, name_of
 
-FIRST_CALLS, LONG = 2, 0.03  # first solves of a way; seconds for which another is repeated
+Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
 
 
-def _timed(solve: Callable[[], Trajectory], longest: float = 0.0) -> tuple[Trajectory, float]:
-    """The path of a solve, and the fewest seconds of one call or, as noise only adds, of all in the longest time."""
-    calls: list[float] = []
-    while not calls or sum(calls) <= longest:
+def _timed(solve: Callable[[], Trajectory]) -> tuple[Trajectory, float]:
+    """The path of a solve, and the fewest seconds of a call, as noise only adds to them.
+
+    It is called again, as the first one may load plugins of CasADi, and until twice the time of that has passed.
+    """
+    calls = list[float]()
+    while not calls or sum(calls) < 2 * calls[0]:
         began = time.perf_counter()
         path = solve()
         calls.append(time.perf_counter() - began)
@@ -53,20 +60,15 @@ def _timed(solve: Callable[[], Trajectory], longest: float = 0.0) -> tuple[Traje
 def _measured(
     problem: AnyProblem, written: bytes, row: Row, guess: Guess | None, of: Quantity | None
 ) -> tuple[Row, Trajectory | None]:
-    """Solve in one way for the first time, and again on what is built; `written` is the pickled problem.
-
-    A second first time finds CasADi's plugins loaded.
-    """
-    try:
-        for _ in range(FIRST_CALLS):  # of a deep copy Functions would be shared
-            path, first = _timed(partial(row.solve, pickle.loads(written)[0], guess))
+    """Solve in one way for the first time, and again on what is built; `written` is the pickled problem."""
+    try:  # of a deep copy Functions would be shared
+        path, first = _timed(lambda: row.solve(pickle.loads(written)[0], guess))
         again: Callable[[], Trajectory] = partial(row.solve, problem, guess)
         if row.method is not None and row.solver is not None:  # a global solve, on a graph that is built
             assert not isinstance(problem, InitialProblem)
             graph = transcribe(problem, row.method, row.intervals if row.mesh is None else None, mesh=row.mesh)
             again = partial(graph.solve, guess=guess, solver=row.solver)
-            again()
-        _, seconds = _timed(again, LONG)
+        _, seconds = _timed(again)
         if of is not None:
             quantity(of, path)
     except (RuntimeError, ValueError) as failure:  # a ConvergenceError is a RuntimeError, and so is what CasADi raises
@@ -211,27 +213,77 @@ def trade(
         check_quantity(of)
     ways = _ways(problem, list(product(methods, intervals)), list(tolerances), list(solvers), shooting, of, guess)
     if reference is not None:
-        check_reference(problem, reference, of)
+        _check_reference(problem, reference, of)
     measured = _all_measured(problem, ways, guess, of)
     paths = [path for _, path in measured if path is not None]
     if not paths:
         raise ConvergenceError(f"no way led to a path; the first failure: {measured[0][0].failure}")
-    truth, described, own = _truth(problem, reference, of, paths)
-    rows = [row if path is None else replace(row, **truth.errors(path)) for row, path in measured]
+    best = max(paths, key=lambda path: path.polynomial.values.size)
+    fine, described, own = best, "given", 0.0
+    if reference is None:
+        fine = _finest(problem, best)
+        own = fine.estimate_error() if of is None else float(np.max(fine.error_of(of))) / size_of(quantity(of, fine))
+        described = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}"
+    elif isinstance(reference, Trajectory):
+        fine, own = reference, reference.error_estimate or 0.0
+        described += f", own error {own:.1e}" if own else ""
+    errors = partial(_errors, fine, fine if reference is None else reference, of)
+    rows = [row if path is None else replace(row, **errors(path)) for row, path in measured]
     return Trade(tuple(rows), described, own, None if of is None else name_of(of))
 
 
-def _truth(
-    problem: AnyProblem, given: Reference | None, of: Quantity | None, paths: list[Trajectory]
-) -> tuple[ReferenceSolution, str, float]:
-    """What errors are measured against, in words, and its own error, zero where none is known."""
+def _check_reference(problem: AnyProblem, given: Reference, of: Quantity | None) -> None:
+    """Refuse a reference that is no path of the problem, or has not the quantity whose errors count."""
+    d, span = problem.dimension, problem.t_span
+    free = any(getattr(problem, name, None) is not None for name in ("duration_bounds", "energy"))
     if isinstance(given, Trajectory):
-        known = given.error_estimate or 0.0
-        return ReferenceSolution(given, of), "given" + (f", own error {known:.1e}" if known else ""), known
-    best = max(paths, key=lambda path: path.polynomial.values.size)
-    if given is not None:
-        return ReferenceSolution(best, of, given), "given", 0.0
-    fine = finest(problem, best)
-    own = fine.estimate_error() if of is None else float(np.max(fine.error_of(of))) / size_of(quantity(of, fine))
-    words = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}"
-    return ReferenceSolution(fine, of), words, own
+        if len(given.x) != d:
+            raise ValueError(f"the reference must be a path of {counted(d, 'component')}, got {len(given.x)}")
+        if not free and not np.allclose(given.t[[0, -1]], span, rtol=0, atol=APART * (span[1] - span[0])):
+            raise ValueError(f"the reference must run from {span[0]} to {span[1]}, got {given.t[0]} to {given.t[-1]}")
+    elif not callable(given):
+        raise TypeError(f"the reference must be a Trajectory or a callable t -> ({d},), got {given!r}")
+    elif free:
+        raise TypeError(f"where the duration is free, the reference must be a Trajectory, got {given!r}")
+    else:
+        times = np.linspace(*span, DRAWN_TIMES)
+        check_finite_values("the reference", sampled("the reference", given, times, d), times)
+    if of is not None:
+        quantity(of, given)
+
+
+def _errors(fine: Trajectory, reference: Reference, of: Quantity | None, path: Trajectory) -> dict[str, Any]:
+    """Errors of a path by their names in a `Row`, all relative to the sizes of a fine path, most often the reference.
+
+    Paths are compared at the same fractions of the durations between breakpoints, because a control problem may leave
+    these free; by how much the durations differ is an error, too.
+    """
+    at: Callable[..., Any] = reference
+    if not isinstance(reference, Trajectory):
+        at = partial(sampled, "the reference", reference, dimension=len(path.x))
+    marks, own = _marks(path.problem), _marks(fine.problem)
+    times = path.fine_times
+    missed = np.max(np.abs(path(times) - at(map_times(times, marks, own))) / fine.sizes[:, None], axis=0)
+    lasting = np.max(np.abs(np.subtract(marks, marks[0]) - np.subtract(own, own[0]))) / (own[-1] - own[0])
+    error = float(max(np.max(missed), lasting))
+    errors = {"error": error, "path_error": error, "joint_error": float(np.max(missed[np.isin(times, path.t)]))}
+    if of is not None:
+        value = quantity(of, reference)
+        errors["error"] = float(np.max(np.abs(quantity(of, path) - value))) / size_of(value)
+    return errors
+
+
+def _marks(problem: Problem) -> list[float]:
+    """Times of the ends, and of the breakpoints that mean the same on every path; idle free ones may be anywhere."""
+    return section_times(with_joined_phases(problem) if isinstance(problem, ControlProblem) else problem)
+
+
+def _finest(problem: AnyProblem, best: Trajectory) -> Trajectory:
+    """A path as near as rounding allows, of an optimum to half of the digits, from the best one that is known."""
+    tol = EPS**0.5 if isinstance(problem, ControlProblem) else LEAST_ERROR
+    try:
+        return solve(problem, tol=tol, guess=None if isinstance(problem, InitialProblem) else best)
+    except LimitReached as error:
+        if not isinstance(error.path, Trajectory):
+            raise
+        return error.path

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
@@ -22,11 +22,11 @@ from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver
 from casadi_galerkin.stepping.shooting import shoot
-from casadi_galerkin.studies.reference import AnyProblem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 LEAST_ERROR = 64 * EPS  # errors below cannot be told from rounding
 PLATEAU_FACTOR = 30.0  # errors below so many times the floor take no part in the fit of an order
 

@@ -48,18 +48,13 @@ def free(t, x, v):
     [
         (path_of(free, (0, 1), [0.0], [1.0]), ValueError, r"reference must be a path of 2 components, got 1"),
         (path_of(free, (0, 2), [0, 0], [1, 1]), ValueError, r"reference must run from 0\.0 to 1\.0, got 0\.0 to 2\.0"),
-        (
-            path_of(lambda t, x, v, p: p[0] * free(t, x, v), (0, 1), [0, 0], [1, 1], parameters=[1.0]),
-            ValueError,
-            r"reference must have 0 parameters, got 1",
-        ),
         (lambda t: t, ValueError, r"the reference must return an array of shape \(2,\), got \(\)"),
         (lambda t: [t], ValueError, r"the reference must return an array of shape \(2,\), got \(1,\)"),
         (lambda t: [t, np.nan], ValueError, r"the reference must be finite, got \[ 0\. nan\] at t = 0"),
         (lambda t: ["a", "b"], TypeError, "values of the reference must be real numbers, got"),
         ("x", TypeError, r"the reference must be a Trajectory or a callable t -> \(2,\), got 'x'"),
     ],
-    ids=["components", "span", "parameters", "scalar", "length", "nan", "text", "no path"],
+    ids=["components", "span", "scalar", "length", "nan", "text", "no path"],
 )
 def test_a_reference_that_does_not_fit_is_refused_before_any_cell(reference, error, message, monkeypatch):
     module = import_module("casadi_galerkin.studies.trade")
