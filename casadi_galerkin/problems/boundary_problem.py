@@ -10,21 +10,32 @@ with a force F, if there is one, that adds its virtual work ∫ F·δx dt.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import OneOrMore, components, counted, flag
+from casadi_galerkin.calculus.numbers import components, counted, finite
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.problems import statements
-from casadi_galerkin.problems.callables import Traceable, depends_on_time, with_multipliers
+from casadi_galerkin.problems.callables import depends_on_time, with_multipliers
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.expressions import pattern, too_many
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, with_values
+from casadi_galerkin.problems.statements import Statement, optional, plain
 
 Given = tuple[float | None, ...]
+
+
+def _end(name: str, value: Any, problem: BoundaryProblem) -> Given:
+    """As `start`, but left out where the path is periodic, and only there."""
+    if value is None and not problem.periodic:
+        raise ValueError(
+            f"end must have {counted(problem.dimension, 'component')}, got None; None is for a periodic path"
+        )
+    return statements.vector(name, value, problem)
 
 
 def _ends(problem: BoundaryProblem) -> Iterator[str]:
@@ -129,22 +140,6 @@ def _integrals(problem: BoundaryProblem) -> Iterator[str]:
         )
 
 
-STATEMENTS = {
-    "start": statements.vector,
-    "end": statements.vector_or_nothing,
-    "parameters": statements.parameters,
-    "periodic": statements.switch,
-    "t_span": statements.span,
-    "integral_conditions": statements.integrals,
-    "lagrangian": statements.lagrangian,
-    "breakpoints": statements.times,
-    "force": statements.function("t x v", "x"),
-    "constraint": statements.function("t x", "any"),
-    **dict.fromkeys(END_MOTIONS, statements.vector_or_nothing),
-    "end_action": statements.function("x0 x1", "scalar"),
-    "end_conditions": statements.function("x0 x1", "any"),
-    "energy": statements.optional(statements.number),
-}
 RULES = _ends, _twice_given, _functions_of_ends, impossible_constraint, _energy, _integrals
 
 
@@ -193,44 +188,25 @@ class BoundaryProblem(Problem):
     1
     """
 
-    start: Given
-    end: Given
-    periodic: bool
-    start_velocity: Given
-    end_velocity: Given
-    start_momentum: Given
-    end_momentum: Given
-    end_action: ca.Function | None
-    end_conditions: ca.Function | None
-    integral_conditions: tuple[ca.Function, tuple[float, ...]] | None
-    energy: float | None
-    readers, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, (constraint_at_ends,), (singular_mass,)
-
-    def __init__(
-        self,
-        lagrangian: Traceable,
-        t_span: Sequence[float],
-        start: OneOrMore,
-        end: OneOrMore | None = None,
-        *,
-        parameters: OneOrMore | None = None,
-        periodic: bool = False,
-        force: Traceable | None = None,
-        constraint: Traceable | None = None,
-        start_velocity: OneOrMore | None = None,
-        end_velocity: OneOrMore | None = None,
-        start_momentum: OneOrMore | None = None,
-        end_momentum: OneOrMore | None = None,
-        end_action: Traceable | None = None,
-        end_conditions: Traceable | None = None,
-        integral_conditions: tuple[Traceable, OneOrMore] | None = None,
-        energy: float | None = None,
-        breakpoints: Sequence[float] = (),
-    ) -> None:
-        if end is None and not flag("periodic", periodic):
-            size = counted(len(components("start", start)), "component")
-            raise ValueError(f"end must have {size}, got None; None is for a periodic path")
-        self._state(locals())
+    lagrangian: statements.Lagrangian = Statement(statements.lagrangian)
+    t_span: statements.Span = Statement(statements.read_span)
+    start: statements.Components = Statement(plain(components))
+    end: statements.Components = Statement(_end, None)
+    _: KW_ONLY
+    parameters: statements.NumbersOrNone = Statement(statements.read_parameters, None)
+    periodic: statements.Switch = Statement(statements.read_switch, False)
+    force: statements.FunctionOrNone = statements.function("t x v", "x")
+    constraint: statements.FunctionOrNone = statements.function("t x", "any")
+    start_velocity: statements.Components = Statement(statements.vector, None)
+    end_velocity: statements.Components = Statement(statements.vector, None)
+    start_momentum: statements.Components = Statement(statements.vector, None)
+    end_momentum: statements.Components = Statement(statements.vector, None)
+    end_action: statements.FunctionOrNone = statements.function("x0 x1", "scalar")
+    end_conditions: statements.FunctionOrNone = statements.function("x0 x1", "any")
+    integral_conditions: statements.Integrals = Statement(optional(statements.integrals), None)
+    energy: statements.Number = Statement(optional(plain(finite)), None)
+    breakpoints: statements.Times = Statement(statements.times, ())
+    rules, rules_of_values, rules_of_masses = RULES, (constraint_at_ends,), (singular_mass,)
 
     @property
     def given_positions(self) -> np.ndarray:

@@ -183,11 +183,6 @@ def _about_p(arguments: Iterable[str]) -> str:
     return ". If it takes p, give parameters" if "v" in arguments else ""
 
 
-def arguments(parameters: tuple[float, ...] | None, **sizes: int) -> dict[str, int]:
-    """Lengths of the arguments of a callable by name, in order; the parameters p, where there are some, come last."""
-    return sizes if parameters is None else sizes | {"p": len(parameters)}
-
-
 def depends_on_time(*functions: ca.Function | None) -> bool:
     """Whether the value of one of these Functions depends on its first argument, the time; that of None does not."""
     return any(f is not None and f.sparsity_jac(0, 0).nnz() for f in functions)

@@ -12,7 +12,6 @@ where z are the components of x that follow rates, and c is a holonomic constrai
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
@@ -21,28 +20,28 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.numbers import OneOrMore, counted, times_inside, whole_number
 from casadi_galerkin.calculus.numbers import components as checked_components
+from casadi_galerkin.calculus.numbers import counted, times_inside, whole_number
 from casadi_galerkin.problems import statements
-from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds
-from casadi_galerkin.problems.breakpoint_events import Pairs, Waypoint, is_limited, jumps, waypoints
-from casadi_galerkin.problems.callables import Traceable, depends_on_time, left_out, of_zeros
+from casadi_galerkin.problems.bounds import Limited
+from casadi_galerkin.problems.callables import depends_on_time, left_out, of_zeros
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
 from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import Problem, is_given, section_times, with_values
+from casadi_galerkin.problems.statements import Statement, is_limited, optional, plain
 
 
-def _stated(name: str, value: Any, made: statements.Made, none: int, rows: int | str) -> ca.Function:
+def _stated(name: str, value: Any, problem: ControlProblem, none: int, rows: int | str) -> ca.Function:
     """A callable of (t, x, v, u), or so many zeros where it is left out."""
     if left_out(value):
-        return of_zeros(name, statements.lengths("t x v u", made), none)
-    return statements.traced(name, value, "t x v u", rows, made)
+        return of_zeros(name, statements.lengths("t x v u", problem), none)
+    return statements.traced(name, value, "t x v u", rows, problem)
 
 
-def _rates(name: str, value: Any, made: statements.Made) -> ca.Function:
+def _rates(name: str, value: Any, problem: ControlProblem) -> ca.Function:
     """Rates of the last components, as many as there are values."""
-    rates, d = _stated(name, value, made, 0, "any"), statements.dimension(made)
+    rates, d = _stated(name, value, problem, 0, "any"), problem.dimension
     if rates.numel_out(0) > d:
         raise ValueError(
             f"rates must be those of at most all {counted(d, 'component')}, got {rates.numel_out(0)} values"
@@ -50,82 +49,35 @@ def _rates(name: str, value: Any, made: statements.Made) -> ca.Function:
     return rates
 
 
-def _mechanical(name: str, value: Any, made: statements.Made) -> int:
-    """Number of components without rates, which a Lagrangian and a force move; without any, neither is given."""
-    rated = made["rates"].numel_out(0)
-    if rated == statements.dimension(made) and not left_out(value):
+def _mechanics(name: str, value: Any, problem: ControlProblem) -> ca.Function:
+    """The Lagrangian and the force move the components without rates; without any, neither is given."""
+    count, d, given = problem.mechanical, problem.dimension, not left_out(value)
+    if given and not count:
         raise ValueError(f"all components follow rates: leave out {name}, got {value!r}")
-    return statements.dimension(made) - rated
-
-
-def _lagrangian(name: str, value: Any, made: statements.Made) -> ca.Function:
-    mechanical, d = _mechanical(name, value, made), statements.dimension(made)
-    if not left_out(value):
-        return statements.lagrangian(name, value, made)
-    if mechanical:
-        first = ", ".join(f"x[{i}]" for i in range(mechanical))
+    if name == "force":
+        return _stated(name, value, problem, count, count)
+    if given:
+        return statements.lagrangian(name, value, problem)
+    if count:
+        first = ", ".join(f"x[{i}]" for i in range(count))
         raise ValueError(
-            f"nothing moves {first}: give a lagrangian, or rates of all {counted(d, 'component')}, got {d - mechanical}"
+            f"nothing moves {first}: give a lagrangian, or rates of all {counted(d, 'component')}, got {d - count}"
         )
-    return of_zeros(name, statements.lengths("t x v", made), 1)
+    return of_zeros(name, statements.lengths("t x v", problem), 1)
 
 
-def _force(name: str, value: Any, made: statements.Made) -> ca.Function:
-    count = _mechanical(name, value, made)
-    return _stated(name, value, made, count, count)
-
-
-def _breakpoints(name: str, value: Any, made: statements.Made) -> tuple[float, ...]:
+def _breakpoints(name: str, value: Any, problem: ControlProblem) -> tuple[float, ...]:
     """Those that are named, and the times of waypoints and jumps."""
-    named = {*times_inside(name, value, made["t_span"]), *dict(made["waypoints"]), *dict(made["jumps"])}
-    return times_inside("breakpoints, waypoints and jumps", sorted(named), made["t_span"])
+    named = {*times_inside(name, value, problem.t_span), *dict(problem.waypoints), *dict(problem.jumps)}
+    return times_inside("breakpoints, waypoints and jumps", sorted(named), problem.t_span)
 
 
-def _sides(count: Callable[[statements.Made], int], positive: bool = False) -> statements.Reader:
-    """(lo, hi) of what is free within them, of so many values; None where nothing is."""
-
-    def reader(name: str, value: Any, made: statements.Made) -> Bounds | None:
-        if value is None:
-            return None
-        if not count(made):
-            raise ValueError(f"{name} need parameters, which are the guess")
-        low, high = bounds(name, value, count(made))
-        if positive and min(low) <= 0:
-            raise ValueError(f"{name} must be positive, got {value}")
-        return low, high
-
-    return reader
-
-
-STATEMENTS = {
-    "start": statements.vector,
-    "first_order": statements.switch,
-    "controls": statements.plain(partial(whole_number, least=0)),
-    "parameters": statements.parameters,
-    "rates": _rates,
-    "lagrangian": _lagrangian,
-    "force": _force,
-    "position_bounds": statements.within("x"),
-    "waypoints": waypoints,
-    "jumps": jumps,
-    "t_span": statements.span,
-    "breakpoints": _breakpoints,
-    **dict.fromkeys(("end", "start_velocity", "end_velocity"), statements.vector_or_nothing),
-    "running_cost": lambda name, value, made: _stated(name, value, made, 1, "scalar"),
-    "terminal_cost": statements.function("t x v", "scalar"),
-    "control_bounds": statements.within("controls"),
-    "control_rate_bounds": statements.within("controls"),
-    "velocity_bounds": statements.within("x"),
-    "start_bounds": statements.within("x"),
-    "initial_time_bounds": _sides(lambda _: 1),
-    "initial_cost": statements.function("t x v", "scalar"),
-    "path_constraint": statements.limited("t x v u"),
-    "duration_bounds": _sides(lambda made: len(made["breakpoints"]) + 1, positive=True),
-    "parameter_bounds": _sides(lambda made: len(made["parameters"] or ())),
-    "end_conditions": statements.limited("x0 v0 x1 v1"),
-    "hold": statements.switch,
-    "constraint": statements.function("t x", "any"),
-}
+def _start(name: str, value: Any, problem: ControlProblem) -> tuple[float | None, ...]:
+    """D numbers; it may be left out where the number of components is given."""
+    count = problem.components
+    if count is None and value is None:
+        raise TypeError("give start, or the number of `components` where all of it is free, got neither")
+    return (None,) * (count or 0) if value is None else checked_components(name, value, count)
 
 
 @lru_cache(8)  # so that what is derived from the Function is found again
@@ -209,69 +161,45 @@ class ControlProblem(Problem):
     (1.0,)
     """
 
-    start: tuple[float | None, ...]
-    end: tuple[float | None, ...]
-    start_velocity: tuple[float | None, ...]
-    end_velocity: tuple[float | None, ...]
-    force: ca.Function
-    running_cost: ca.Function
-    controls: int
-    terminal_cost: ca.Function | None
-    control_bounds: Bounds
-    position_bounds: Bounds
-    path_constraint: Limited
-    duration_bounds: Bounds | None
-    parameter_bounds: Bounds | None
-    rates: ca.Function
-    end_conditions: Limited
-    waypoints: tuple[tuple[float, Pairs | Limited], ...]
-    jumps: tuple[tuple[float, ca.Function], ...]
-    hold: bool
-    velocity_bounds: Bounds
-    control_rate_bounds: Bounds
-    initial_cost: ca.Function | None
-    start_bounds: Bounds
-    initial_time_bounds: Bounds | None
-    readers, rules, rules_of_values, rules_of_masses = STATEMENTS, RULES, RULES_OF_VALUES, (singular_mass,)
+    lagrangian: statements.Lagrangian = Statement(_mechanics, None)
+    t_span: statements.Span = Statement(statements.read_span, None)
+    start: statements.Components = Statement(_start, None)
+    end: statements.Components = Statement(statements.vector, None)
+    start_velocity: statements.Components = Statement(statements.vector, None)
+    end_velocity: statements.Components = Statement(statements.vector, None)
+    force: statements.Lagrangian = Statement(_mechanics, None)
+    running_cost: statements.Lagrangian = Statement(
+        lambda name, value, problem: _stated(name, value, problem, 1, "scalar"), None
+    )
+    controls: statements.Count = Statement(plain(partial(whole_number, least=0)), 0)
+    terminal_cost: statements.FunctionOrNone = statements.function("t x v", "scalar")
+    control_bounds: statements.Within = statements.within("controls")
+    position_bounds: statements.Within = statements.within("dimension")
+    path_constraint: statements.LimitedValues = statements.limited("t x v u")
+    duration_bounds: statements.WithinOrNone = statements.sides(
+        lambda problem: len(problem.breakpoints) + 1, positive=True
+    )
+    parameters: statements.NumbersOrNone = Statement(statements.read_parameters, None)
+    parameter_bounds: statements.WithinOrNone = statements.sides(lambda problem: len(problem.parameters or ()))
+    rates: statements.Lagrangian = Statement(_rates, None)
+    end_conditions: statements.LimitedValues = statements.limited("x0 v0 x1 v1")
+    breakpoints: statements.Times = Statement(_breakpoints, ())
+    waypoints: statements.Waypoints = Statement(statements.read_waypoints, ())
+    jumps: statements.Jumps = Statement(statements.read_jumps, ())
+    hold: statements.Switch = Statement(statements.read_switch, False)
+    constraint: statements.FunctionOrNone = statements.function("t x", "any")
+    velocity_bounds: statements.Within = statements.within("dimension")
+    control_rate_bounds: statements.Within = statements.within("controls")
+    initial_cost: statements.FunctionOrNone = statements.function("t x v", "scalar")
+    start_bounds: statements.Within = statements.within("dimension")
+    initial_time_bounds: statements.WithinOrNone = statements.sides(lambda _: 1)
+    components: statements.CountOrNone = Statement(optional(plain(whole_number)), None)
+    rules, rules_of_values, rules_of_masses = RULES, RULES_OF_VALUES, (singular_mass,)
 
-    def __init__(
-        self,
-        lagrangian: Traceable | None = None,
-        t_span: Sequence[float] | None = None,
-        start: OneOrMore | None = None,
-        end: OneOrMore | None = None,
-        start_velocity: OneOrMore | None = None,
-        end_velocity: OneOrMore | None = None,
-        force: Traceable | None = None,
-        running_cost: Traceable | None = None,
-        controls: int = 0,
-        terminal_cost: Traceable | None = None,
-        control_bounds: tuple[Limit, Limit] | None = None,
-        position_bounds: tuple[Limit, Limit] | None = None,
-        path_constraint: tuple[Traceable, Limit, Limit] | None = None,
-        duration_bounds: tuple[Limit, Limit] | None = None,
-        parameters: OneOrMore | None = None,
-        parameter_bounds: tuple[Limit, Limit] | None = None,
-        rates: Traceable | None = None,
-        end_conditions: tuple[Traceable, Limit, Limit] | None = None,
-        breakpoints: Sequence[float] = (),
-        waypoints: Sequence[Waypoint] = (),
-        jumps: Sequence[tuple[float, Traceable]] = (),
-        hold: bool = False,
-        constraint: Traceable | None = None,
-        velocity_bounds: tuple[Limit, Limit] | None = None,
-        control_rate_bounds: tuple[Limit, Limit] | None = None,
-        initial_cost: Traceable | None = None,
-        start_bounds: tuple[Limit, Limit] | None = None,
-        initial_time_bounds: tuple[float, float] | None = None,
-        components: int | None = None,
-    ) -> None:
-        if components is not None:
-            count = whole_number("components", components)
-            start = checked_components("start", [None] * count if start is None else start, count)
-        elif start is None:
-            raise TypeError("give start, or the number of `components` where all of it is free, got neither")
-        self._state({**locals(), "first_order": left_out(lagrangian)})
+    @property
+    def first_order(self) -> bool:
+        """Whether no Lagrangian is stated, also while the problem is read."""
+        return left_out(vars(self).get("_given", vars(self))["lagrangian"])
 
     @property
     def given_positions(self) -> np.ndarray:
@@ -326,7 +254,7 @@ class ControlProblem(Problem):
     @property
     def mechanical(self) -> int:
         """Number of components that have an equation of motion; the others follow rates."""
-        return self.force.numel_out(0)
+        return self.dimension - self.rates.numel_out(0)
 
     @cached_property
     def limits_of_ends(self) -> list[list[int]]:
@@ -397,7 +325,7 @@ class ControlProblem(Problem):
         """Another value of a statement; bounds of velocities are rows, which stay the same."""
         if name not in ("control_bounds", "position_bounds", "velocity_bounds"):
             return super()._another(name, value)
-        other = self.readers[name](name, value, vars(self))
+        other = statements.within("controls" if name == "control_bounds" else "dimension").read(name, value, self)
         now, before = (np.isfinite(sides).any(axis=0).tolist() for sides in (other, getattr(self, name)))
         if name == "velocity_bounds" and now != before:
             raise ValueError(f"{name} must bound the same components as the problem does, {before}, got {now}")

@@ -12,7 +12,6 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.problems.bounds import FEASIBLE, Limited, keeps_to
-from casadi_galerkin.problems.breakpoint_events import is_limited
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
 from casadi_galerkin.problems.expressions import (
     CONTROLS,
@@ -24,6 +23,7 @@ from casadi_galerkin.problems.expressions import (
     too_many,
 )
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, section_times
+from casadi_galerkin.problems.statements import is_limited
 
 
 def _beside_a_constraint(problem: Any) -> Iterator[str]:

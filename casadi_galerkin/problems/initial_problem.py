@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import OneOrMore
+from casadi_galerkin.calculus.numbers import numbers
 from casadi_galerkin.problems import statements
-from casadi_galerkin.problems.callables import Traceable
 from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
 from casadi_galerkin.problems.problem import Problem
-
-STATEMENTS = {
-    "start": statements.whole_vector,
-    "parameters": statements.parameters,
-    "lagrangian": statements.lagrangian,
-    "t_span": statements.span,
-    "momentum": statements.optional(statements.whole_vector),
-    "velocity": statements.optional(statements.whole_vector),
-    "force": statements.function("t x v", "x"),
-    "constraint": statements.function("t x", "any"),
-}
+from casadi_galerkin.problems.statements import Statement, optional, plain
 
 
 def _stateless(problem: InitialProblem) -> tuple[()]:
     """A start that has no velocity or no mass, which is refused where its state is found."""
+    momentum, velocity = (None if given is None else [*given] for given in (problem.momentum, problem.velocity))
+    if (momentum is None) == (velocity is None):
+        raise ValueError(f"give either momentum or velocity, got momentum={momentum} and velocity={velocity}")
     _ = problem.start_state
     return ()
 
@@ -61,28 +52,17 @@ class InitialProblem(Problem):
     1
     """
 
-    start: tuple[float, ...]
-    momentum: tuple[float, ...] | None
-    velocity: tuple[float, ...] | None
-    breakpoints: tuple[float, ...] = field(default=(), init=False, repr=False)  # which other problems have
-    readers, rules = STATEMENTS, (impossible_constraint,)
-    rules_of_values = constraint_at_ends, leaving_velocity, _stateless
-
-    def __init__(
-        self,
-        lagrangian: Traceable,
-        t_span: Sequence[float],
-        start: OneOrMore,
-        *,
-        momentum: OneOrMore | None = None,
-        velocity: OneOrMore | None = None,
-        parameters: OneOrMore | None = None,
-        force: Traceable | None = None,
-        constraint: Traceable | None = None,
-    ) -> None:
-        if (momentum is None) == (velocity is None):
-            raise ValueError(f"give either momentum or velocity, got momentum={momentum!r} and velocity={velocity!r}")
-        self._state(locals())
+    lagrangian: statements.Lagrangian = Statement(statements.lagrangian)
+    t_span: statements.Span = Statement(statements.read_span)
+    start: statements.Numbers = Statement(plain(numbers))
+    _: KW_ONLY
+    momentum: statements.NumbersOrNone = Statement(optional(statements.whole_vector), None)
+    velocity: statements.NumbersOrNone = Statement(optional(statements.whole_vector), None)
+    parameters: statements.NumbersOrNone = Statement(statements.read_parameters, None)
+    force: statements.FunctionOrNone = statements.function("t x v", "x")
+    constraint: statements.FunctionOrNone = statements.function("t x", "any")
+    breakpoints = ()  # which other problems have
+    rules, rules_of_values = (impossible_constraint,), (constraint_at_ends, leaving_velocity, _stateless)
 
     @property
     def start_state(self) -> tuple[np.ndarray, np.ndarray]:

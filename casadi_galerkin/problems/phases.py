@@ -6,7 +6,7 @@ A control problem with jumps, or with breakpoints whose times are free, is parte
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeAlias
@@ -17,11 +17,11 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.bounds import FEASIBLE, Limit, Limited, bounds
-from casadi_galerkin.problems.breakpoint_events import is_limited, positions_and_velocities
-from casadi_galerkin.problems.callables import Traceable, arguments, of_zeros, trace
+from casadi_galerkin.problems.callables import Traceable, of_zeros, trace
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import entries_of, rows_that_depend
 from casadi_galerkin.problems.problem import ENDS, with_values
+from casadi_galerkin.problems.statements import is_limited, jump, lengths, read_limited
 
 NOTHING = ca.Function("joins", [], [ca.SX(0, 1)])
 Link: TypeAlias = Traceable | tuple[Traceable, Limit, Limit] | None
@@ -223,7 +223,8 @@ class Phases:
         total = None if cost is None else trace("cost", _of_ends(cost, sizes), sizes, "scalar")
         symbols, others = [ca.SX.sym(name, size) for name, size in sizes.items()], list[Join]()
         if conditions is not None:
-            g, *sides = _limited("conditions", conditions, sizes, _of_ends)
+            name = "conditions"
+            g, *sides = read_limited(name, conditions, lambda g: trace(name, _of_ends(g, sizes), sizes, "any"))
             others.append(Join("condition {} on the phases", count, g(*symbols), sides))
         self.__dict__["links"] = tuple(_link(self.phases, k, link) for k, link in enumerate(links))
         self.__dict__["joins"] = _checked(self.phases, _joined(self.phases, symbols, self.links, others, total))
@@ -289,24 +290,15 @@ def _of_ends(function: Any, sizes: Mapping[str, int]) -> Any:
     return of_parts if callable(function) else function
 
 
-def _limited(name: str, given: Any, sizes: Mapping[str, int], of: Callable[..., Any] = lambda g, _: g) -> Limited:
-    if not isinstance(given, (tuple, list)) or len(given) != 3:
-        raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {given!r}")
-    g = trace(name, of(given[0], sizes), sizes, "any")
-    return g, *bounds(name, given[1:], g.numel_out(0))
-
-
 def _link(phases: Sequence[ControlProblem], k: int, link: Link) -> ca.Function | Limited | None:
     """What links phase k to the next: a law (x, v[, p]) -> x, v, conditions, or None."""
     (one, other), name = phases[k : k + 2], f"link {k}"
-    at_end = dict.fromkeys(("x", "v"), one.dimension)
     if callable(link):
-        sizes = arguments(one.parameters, **at_end)
-        first_order = not one.mechanical and not other.mechanical
-        return positions_and_velocities(name, link, sizes, other.dimension, other.mechanical, first_order)
+        return jump(name, link, one, other)
     if link is not None:
-        after = dict.fromkeys(("x_after", "v_after"), other.dimension)
-        return _limited(name, link, arguments(one.parameters, **at_end, **after))
+        x, v, *p = lengths("x v", one).items()
+        sizes = dict([x, v, ("x_after", other.dimension), ("v_after", other.dimension), *p])
+        return read_limited(name, link, lambda g: trace(name, g, sizes, "any"))
     if one.dimension != other.dimension:
         raise ValueError(
             f"phase {k} has {counted(one.dimension, 'component')}, and phase {k + 1} has {other.dimension}: give a law "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import fields
 from reprlib import repr as shown
 from typing import Any, ClassVar, TypeVar
 
@@ -14,15 +14,14 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import check_method
 from casadi_galerkin.calculus.numbers import components, counted, finite, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.statements import Reader, Rule, check
+from casadi_galerkin.problems.statements import Rule, Statement, check
 
 ENDS = ("start", "end")
 END_MOTIONS = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
-UNSAID = "lagrangian", "t_span", "first_order"  # by the summary of a problem
+UNSAID = "lagrangian", "t_span", "components"  # by the summary of a problem
 VARIED = (*ENDS, "parameters", *END_MOTIONS, "integral_values", "energy")  # what can be varied, where a problem has it
 
 
-@dataclass(frozen=True, init=False, repr=False)
 class Problem:
     """What all problems state; answers keep the problem that they solve.
 
@@ -34,31 +33,34 @@ class Problem:
     parameters : values of p, or None
     t_span : times of the ends
     breakpoints : times of joints that every mesh has
-    readers : of all that a problem of this kind states
     rules, rules_of_values, rules_of_masses : what is looked at when it is made; the second also where other values are
         given, the third where other parameters are
     """
 
-    lagrangian: ca.Function
-    force: ca.Function | None
-    constraint: ca.Function | None
-    parameters: tuple[float, ...] | None
-    t_span: tuple[float, float]
-    breakpoints: tuple[float, ...]
-    readers: ClassVar[Mapping[str, Reader]]
+    lagrangian: Statement[Any, ca.Function]
+    force: Statement[Any, ca.Function]
+    constraint: Statement[Any, ca.Function]
+    parameters: Statement[Any, tuple[float, ...] | None]
+    t_span: Statement[Any, tuple[float, float]]
+    start: Statement[Any, tuple[Any, ...]]
+    breakpoints: Statement[Any, tuple[float, ...]]
     rules: ClassVar[Sequence[Rule]]
     rules_of_values: ClassVar[Sequence[Rule]]
     rules_of_masses: ClassVar[Sequence[Rule]] = ()
 
-    def _state(self, given: Mapping[str, Any]) -> None:
+    def __post_init__(self) -> None:
         """Read all statements, and refuse what is wrong with them."""
-        for name, reader in self.readers.items():
-            vars(self)[name] = reader(name, given[name], vars(self))  # the classes are frozen
+        given = vars(self).copy()
+        vars(self).clear()
+        vars(self)["_given"] = given  # until all of it is read; the classes are frozen
+        for name in sorted(given, key=lambda name: callable(given[name])):  # numbers first: they tell what these take
+            getattr(self, name)
+        del vars(self)["_given"]
         check(self, (*self.rules, *self.rules_of_values, *self.rules_of_masses))
 
     def __repr__(self) -> str:
         """State the problem; its callables by their names alone."""
-        stated = {name: getattr(self, name) for name in self.readers if name not in UNSAID}
+        stated = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in UNSAID}  # type: ignore
         said = []
         for name, value in stated.items():
             if is_given(value) and "bounds" not in name:
@@ -69,7 +71,17 @@ class Problem:
     @property
     def dimension(self) -> int:
         """Number d of coordinates."""
-        return self.lagrangian.size1_in(1)
+        return len(self.start)
+
+    @property
+    def first_order(self) -> bool:
+        """Whether no Lagrangian is stated."""
+        return False
+
+    @property
+    def mechanical(self) -> int:
+        """Number of components that have an equation of motion."""
+        return self.dimension
 
     @property
     def numeric(self: Stated) -> Stated:

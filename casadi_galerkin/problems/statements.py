@@ -1,26 +1,90 @@
-"""How a problem is read: a table with a reader for each of its statements, and rules for all of them together.
+"""How a problem is read: each of its fields is a `Statement`, which says what may be given, and what is kept of it.
 
-A reader takes the name and the value of a statement, and what was read before it; it returns what the problem keeps, or
-raises an error that names what came and what was expected.  A rule looks at the problem that results, and yields what
-is wrong with it, in words.  A new statement is an entry of a table, and a rule where it may contradict others.
+A reader takes the name of a statement, what is given, and the problem that is made, which reads its other statements
+when they are asked for; it returns what the problem keeps, or raises an error that names what came and what was
+expected.  A rule looks at the problem that results, and yields what is wrong with it, in words.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterable, Sequence
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeGuard, TypeVar
 
 import casadi as ca
+import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, finite, flag, numbers, time_span, times_inside
-from casadi_galerkin.problems.bounds import Bounds, bounds
-from casadi_galerkin.problems.callables import Rows, arguments, left_out, of_zeros, trace
+from casadi_galerkin.calculus.numbers import (
+    OneOrMore,
+    components,
+    counted,
+    finite,
+    flag,
+    number,
+    numbers,
+    time_span,
+    times_inside,
+)
+from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, keeps_to
+from casadi_galerkin.problems.callables import Rows, Traceable, left_out, of_zeros, trace
 
 VELOCITIES = "v", "v0", "v1"
 
-Made: TypeAlias = dict[str, Any]  # what was read, by name
-Reader: TypeAlias = Callable[[str, Any, Made], Any]
+Given = TypeVar("Given", contravariant=True)
+Kept = TypeVar("Kept", covariant=True)
+Reader: TypeAlias = Callable[[str, Any, Any], Any]
 Rule: TypeAlias = Callable[[Any], Iterable[str]]
+Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
+Waypoint: TypeAlias = tuple[float, Positions | tuple[Traceable, Limit, Limit]]
+Pairs: TypeAlias = tuple[tuple[float, float], ...]
+
+
+class Statement(Generic[Given, Kept]):
+    """A field of a problem.
+
+    Parameters
+    ----------
+    read : Reader
+    default : what is given where it is left out, one value; without any it must be given
+    """
+
+    def __init__(self, read: Reader, *default: Any) -> None:
+        self.read, self.default, self.__doc__ = read, default, ""  # what it is, its class says under Parameters
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, problem: Any, owner: type | None = None) -> Kept:
+        """Read what is given, once; a problem that is made holds what is kept in its place."""
+        if problem is not None:
+            given = vars(problem)["_given"][self.name]
+            return vars(problem).setdefault(self.name, self.read(self.name, given, problem))
+        if not self.default:
+            raise AttributeError(self.name)
+        return self.default[0]
+
+    if TYPE_CHECKING:
+
+        def __set__(self, problem: Any, value: Given) -> None: ...
+
+
+Number: TypeAlias = Statement[float | None, float | None]
+Count: TypeAlias = Statement[int, int]
+CountOrNone: TypeAlias = Statement[int | None, int | None]
+Switch: TypeAlias = Statement[bool, bool]
+Components: TypeAlias = Statement[OneOrMore | None, tuple[float | None, ...]]
+Numbers: TypeAlias = Statement[OneOrMore, tuple[float, ...]]
+NumbersOrNone: TypeAlias = Statement[OneOrMore | None, tuple[float, ...] | None]
+Span: TypeAlias = Statement[Sequence[float], tuple[float, float]]
+Times: TypeAlias = Statement[Sequence[float], tuple[float, ...]]
+Lagrangian: TypeAlias = Statement[Traceable | None, ca.Function]
+FunctionOrNone: TypeAlias = Statement[Traceable | None, ca.Function | None]
+Integrals: TypeAlias = Statement[tuple[Traceable, OneOrMore] | None, tuple[ca.Function, tuple[float, ...]] | None]
+Within: TypeAlias = Statement[tuple[Limit, Limit] | None, Bounds]
+WithinOrNone: TypeAlias = Statement[tuple[Limit, Limit] | None, Bounds | None]
+Waypoints: TypeAlias = Statement[Sequence[Waypoint], tuple[tuple[float, Pairs | Limited], ...]]
+Jumps: TypeAlias = Statement[Sequence[tuple[float, Traceable]], tuple[tuple[float, ca.Function], ...]]
+LimitedValues: TypeAlias = Statement[tuple[Traceable, Limit, Limit] | None, Limited]
 
 
 def check(problem: object, rules: Iterable[Rule]) -> None:
@@ -30,29 +94,9 @@ def check(problem: object, rules: Iterable[Rule]) -> None:
             raise ValueError(words)
 
 
-def dimension(made: Made) -> int:
-    """Number d of coordinates, which the start tells."""
-    return len(made["start"])
-
-
 def optional(reader: Reader) -> Reader:
     """Read what may be left out, which is None."""
-    return lambda name, value, made: None if value is None else reader(name, value, made)
-
-
-def vector(name: str, value: Any, made: Made) -> tuple[float | None, ...]:
-    """D numbers, or None where nothing is given; the first one tells d."""
-    return components(name, value, dimension(made) if made else None)
-
-
-def vector_or_nothing(name: str, value: Any, made: Made) -> tuple[float | None, ...]:
-    """The same; None as a whole is None d times."""
-    return (None,) * dimension(made) if value is None else vector(name, value, made)
-
-
-def whole_vector(name: str, value: Any, made: Made) -> tuple[float, ...]:
-    """D numbers, none of them left out; the first one tells d."""
-    return numbers(name, value, dimension(made) if made else None)
+    return lambda name, value, problem: None if value is None else reader(name, value, problem)
 
 
 def plain(checked: Callable[[str, Any], Any]) -> Reader:
@@ -60,90 +104,196 @@ def plain(checked: Callable[[str, Any], Any]) -> Reader:
     return lambda name, value, _: checked(name, value)
 
 
-parameters, number, switch = optional(plain(numbers)), plain(finite), plain(flag)
-span = plain(lambda _, value: time_span(value))
+read_switch, read_span, read_parameters = plain(flag), plain(lambda _, span: time_span(span)), optional(plain(numbers))
 
 
-def times(name: str, value: Any, made: Made) -> tuple[float, ...]:
+def vector(name: str, value: Any, problem: Any) -> tuple[float | None, ...]:
+    """D numbers, or None where nothing is given; None as a whole is None d times."""
+    d = problem.dimension
+    return (None,) * d if value is None else components(name, value, d)
+
+
+def whole_vector(name: str, value: Any, problem: Any) -> tuple[float, ...]:
+    """D numbers, none of them left out."""
+    return numbers(name, value, problem.dimension)
+
+
+def times(name: str, value: Any, problem: Any) -> tuple[float, ...]:
     """Increasing times inside of the time span."""
-    return times_inside(name, value, made["t_span"])
+    return times_inside(name, value, problem.t_span)
 
 
-def lengths(names: str, made: Made) -> dict[str, int]:
+def lengths(names: str, problem: Any) -> dict[str, int]:
     """Lengths of the arguments of a callable, by name; the parameters come last."""
-    d, others = dimension(made), {"t": 1, "u": made.get("controls", 0)}
-    return arguments(made["parameters"], **{name: others.get(name, d) for name in names.split()})
+    d, others, p = problem.dimension, {"t": 1, "u": getattr(problem, "controls", 0)}, problem.parameters
+    return {name: others.get(name, d) for name in names.split()} | ({} if p is None else {"p": len(p)})
 
 
-def traced(name: str, value: Any, names: str, rows: Any, made: Made) -> ca.Function:
+def traced(name: str, value: Any, names: str, rows: Any, problem: Any) -> ca.Function:
     """A callable of these arguments; it may leave out velocities where there is no Lagrangian."""
-    return trace(name, value, lengths(names, made), rows, VELOCITIES if made.get("first_order") else ())
+    return trace(name, value, lengths(names, problem), rows, VELOCITIES if problem.first_order else ())
 
 
-def function(names: str, rows: Rows | str) -> Reader:
+def function(names: str, rows: Rows | str) -> FunctionOrNone:
     """A callable of these arguments with values of these `rows`: "scalar", "any", or as many as "x" has."""
 
-    def reader(name: str, value: Any, made: Made) -> Any:
-        expected = dimension(made) if rows == "x" else rows
-        return None if value is None else traced(name, value, names, expected, made)
+    def reader(name: str, value: Any, problem: Any) -> Any:
+        expected = problem.dimension if rows == "x" else rows
+        return None if value is None else traced(name, value, names, expected, problem)
 
-    return reader
+    return Statement(reader, None)
 
 
-def lagrangian(_: str, value: Any, made: Made) -> ca.Function:
+def lagrangian(_: str, value: Any, problem: Any) -> ca.Function:
     """L(t, x, v[, p]), which depends on every v[i] of a component with an equation of motion, and on no others.
 
     It need not depend on those that integrands of given integrals depend on.
     """
-    function, d = trace("lagrangian", value, lengths("t x v", made), "scalar"), dimension(made)
-    count, conditions = d - (made["rates"].numel_out(0) if "rates" in made else 0), made.get("integral_conditions")
+    function = trace("lagrangian", value, lengths("t x v", problem), "scalar")
+    count, conditions = problem.mechanical, getattr(problem, "integral_conditions", None)
     used = set(function.sparsity_jac(2, 0).get_col())
     given = set(conditions[0].sparsity_jac(2, 0).get_col()) if conditions else set()
     ignored = ", ".join(f"v[{i}]" for i in range(count) if i not in used | given)
     if ignored:
-        rated = "" if count == d else ", nor is its rate among the rates, which are those of the last components"
-        reason = f"without a velocity there is no equation of motion for it{rated}"
+        rated = ", nor is its rate among the rates, which are those of the last components"
+        reason = f"without a velocity there is no equation of motion for it{rated * (count < problem.dimension)}"
         raise ValueError(f"the lagrangian ignores {ignored}: {reason}")
     for i in sorted(i for i in used if i >= count):
         raise ValueError(f"the lagrangian depends on v[{i}], but x[{i}] follows a rate and has no momentum")
     return function
 
 
-def integrals(name: str, value: Any, made: Made) -> tuple[ca.Function, tuple[float, ...]] | None:
+def integrals(name: str, value: Any, problem: Any) -> tuple[ca.Function, tuple[float, ...]]:
     """(g, values), a callable of t, x, v and the values of its integrals."""
-    if value is None:
-        return None
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise TypeError(f"{name} must be (g, values), a callable g and the values of its integrals, got {value!r}")
-    g = traced(name, value[0], "t x v", "any", made)
+    g = traced(name, value[0], "t x v", "any", problem)
     return g, numbers(f"the values of {name}", value[1], g.numel_out(0))
 
 
-def limited(names: str) -> Reader:
+def read_limited(name: str, value: Any, function: Callable[[Any], ca.Function]) -> Limited:
+    """(g, lo, hi), a callable that a `function` traces, and the bounds of its values."""
+    if not isinstance(value, (tuple, list)) or len(value) != 3:
+        raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {value!r}")
+    g = function(value[0])
+    return g, *bounds(name, value[1:], g.numel_out(0))
+
+
+def limited(names: str) -> LimitedValues:
     """(g, lo, hi), a callable of these arguments and the bounds of its values; without values where it is None."""
 
-    def reader(name: str, value: Any, made: Made) -> Any:
-        if value is not None and (not isinstance(value, (tuple, list)) or len(value) != 3):
-            raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {value!r}")
-        if value is None or left_out(value[0]):
-            return of_zeros(name, lengths(names, made), 0), (), ()
-        g = traced(name, value[0], names, "any", made)
-        return (g, *bounds(name, (value[1], value[2]), g.numel_out(0)))
+    def reader(name: str, value: Any, problem: Any) -> Limited:
+        if value is None or (isinstance(value, tuple) and left_out(value[0])):
+            return of_zeros(name, lengths(names, problem), 0), (), ()
+        return read_limited(name, value, lambda g: traced(name, g, names, "any", problem))
 
-    return reader
+    return Statement(reader, None)
 
 
-def within(of: str) -> Reader:
-    """(lo, hi) of as many values as "controls" or "x" have, that are not all fixed."""
+def within(size: str) -> Within:
+    """(lo, hi) of as many values as this attribute of the problem tells, that are not all fixed."""
 
-    def reader(name: str, value: Any, made: Made) -> Bounds:
-        size = dimension(made) if of == "x" else made["controls"]
-        low, high = bounds(name, value, size)
-        if size > 1 and low == high:  # as by a pair for each of two components in place of (lo, hi)
+    def reader(name: str, value: Any, problem: Any) -> Bounds:
+        count = getattr(problem, size)
+        low, high = bounds(name, value, count)
+        if count > 1 and low == high:  # as by a pair for each of two components in place of (lo, hi)
             raise ValueError(
-                f"{name} must be (lo, hi), each a number or {size} numbers, not a pair for each component: "
+                f"{name} must be (lo, hi), each a number or {count} numbers, not a pair for each component: "
                 f"{value!r} leaves nothing free"
             )
         return low, high
 
+    return Statement(reader, None)
+
+
+def sides(count: Callable[[Any], int], positive: bool = False) -> WithinOrNone:
+    """(lo, hi) of what is free within them, of so many values; None where nothing is."""
+
+    def reader(name: str, value: Any, problem: Any) -> Bounds:
+        if not count(problem):
+            raise ValueError(f"{name} need parameters, which are the guess")
+        low, high = bounds(name, value, count(problem))
+        if positive and min(low) <= 0:
+            raise ValueError(f"{name} must be positive, got {value}")
+        return low, high
+
+    return Statement(optional(reader), None)
+
+
+def is_limited(place: Any) -> TypeGuard[Limited]:
+    """Whether a waypoint is a function with bounds, not positions."""
+    return callable(place) or (isinstance(place, (tuple, list)) and len(place) > 0 and callable(place[0]))
+
+
+def timed(kind: str, checked: Callable[[Any, Any], Any]) -> Reader:
+    """Read pairs of a time and what is stated there; no two may have the same time."""
+
+    def reader(name: str, given: Any, problem: Any) -> tuple[tuple[float, Any], ...]:
+        found: dict[float, Any] = {}
+        for pair in given if isinstance(given, (tuple, list, np.ndarray)) else [given]:
+            if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+                raise TypeError(f"{name} must be pairs {kind}, got {pair!r}")
+            t = finite(f"the time of a {name[:-1]}", pair[0])
+            if t in found:
+                raise ValueError(f"{name} must have different times, got two at t = {t:g}")
+            try:
+                found[t] = checked(pair[1], problem)
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"at t = {t:g}: {error}") from error
+        return tuple(found.items())
+
     return reader
+
+
+def _waypoint(place: Any, problem: Any) -> Pairs | Limited:
+    """Bounds (lo, hi) of all positions, which must meet those of the problem, or (g, lo, hi)."""
+    if is_limited(place):
+        return limited("x v").read("waypoint", place, problem)
+    d = problem.dimension
+    if not isinstance(place, (tuple, list, np.ndarray)) or len(place) != d:
+        raise ValueError(
+            f"waypoint must be a list of {counted(d, 'position')}, each a number, a pair or None, or be "
+            f"(g, lo, hi), got {place!r}"
+        )
+    pairs = [x if number(x) is None else (x, x) for x in place]
+    read = [bounds(f"the bounds of x[{i}]", pair, 1) for i, pair in enumerate(pairs)]
+    sides = tuple((low, high) for (low,), (high,) in read)
+    for i, ((least, most), low, high) in enumerate(zip(sides, *problem.position_bounds, strict=True)):
+        if not (keeps_to(least, -np.inf, high) and keeps_to(most, low, np.inf)):
+            raise ValueError(
+                f"waypoint bounds x[{i}] by [{least}, {most}], outside its position_bounds [{low}, {high}]"
+            )
+    return sides
+
+
+def jump(name: str, law: Any, before: Any, after: Any) -> ca.Function:
+    """A law of x and v before, with p, as a Function -> x after, v after; v after is zero where x follows a rate.
+
+    Where both problems are of first order it is a callable of x alone -> x after.
+    """
+    arguments, d = lengths("x v", before), after.dimension
+    if not callable(law):
+        raise TypeError(f"{name} must be a callable of ({', '.join(arguments)}), got {law!r}")
+
+    @wraps(law)
+    def both(*given: ca.SX) -> Any:
+        sides = law(*given)
+        if len(given) < len(arguments):  # without velocities
+            sides = sides, [0.0] * d
+        if not isinstance(sides, (tuple, list)) or len(sides) != 2:
+            raise TypeError(f"it must return a pair: x and v after the jump, got {sides!r}")
+        columns = [ca.vertcat(*side) if isinstance(side, (tuple, list)) else ca.SX(side) for side in sides]
+        counts = [column.numel() for column in columns]
+        if counts != [d, d]:
+            raise ValueError(f"it must return {counted(d, 'position')} and as many velocities, got {counts}")
+        return ca.vertcat(*columns)
+
+    traced = trace(name, both, arguments, 2 * d, () if before.mechanical or after.mechanical else VELOCITIES)
+    symbols = traced.sx_in()
+    position, velocity = ca.vertsplit(traced(*symbols), d)
+    velocity[after.mechanical :] = 0.0
+    return ca.Function("jump", symbols, [position, velocity], list(arguments), ["x_after", "v_after"])
+
+
+read_waypoints = timed("(t, positions) or (t, (g, lo, hi))", _waypoint)
+read_jumps = timed("(t, law)", lambda law, problem: jump("jump", law, problem, problem))

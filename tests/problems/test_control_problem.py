@@ -354,7 +354,7 @@ def test_fields_of_problems_with_and_without_rates_are_replaced():
     longer = replace(first_order(), t_span=(0.0, 3.0))
     assert longer.t_span == (0.0, 3.0)
     assert longer.mechanical == 0
-    assert "on (0.0, 3.0): start (0.0,), controls 1, rates, end (1.0,), running_cost, hold" in str(
+    assert "on (0.0, 3.0): start (0.0,), end (1.0,), running_cost, controls 1, rates, hold" in str(
         replace(longer, hold=True)
     )
 
@@ -402,7 +402,7 @@ def test_a_problem_of_first_order_is_stated_by_keywords_alone():
         running_cost=lambda t, x, v, u: x**2 + u**2,
     )
     assert (short.dimension, short.mechanical, short.end, short.start_velocity) == (1, 0, (None,), (None,))
-    assert repr(short) == "ControlProblem of 1 component on (0.0, 1.0): start (1.0,), controls 1, rates, running_cost"
+    assert repr(short) == "ControlProblem of 1 component on (0.0, 1.0): start (1.0,), running_cost, controls 1, rates"
     assert repr(replace(short, end=2.0)).startswith("ControlProblem of 1 component on (0.0, 1.0): start (1.0,),")
 
 
