@@ -1,10 +1,10 @@
 """High-order Galerkin variational integrators, solved globally as two-point boundary-value problems on CasADi."""
 
+from casadi_galerkin._solve import AdaptiveTranscription as AdaptiveTranscription
 from casadi_galerkin._solve import sensitivity as sensitivity
 from casadi_galerkin._solve import solution_function as solution_function
 from casadi_galerkin._solve import solve as solve
 from casadi_galerkin._solve import transcribe as transcribe
-from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription as AdaptiveTranscription
 from casadi_galerkin.boundary.all_paths import Paths as Paths
 from casadi_galerkin.boundary.all_paths import paths as paths
 from casadi_galerkin.boundary.branch import Branch as Branch
@@ -27,7 +27,6 @@ from casadi_galerkin.calculus.quadrature import lobatto as lobatto
 from casadi_galerkin.calculus.quadrature import midpoint as midpoint
 from casadi_galerkin.calculus.quadrature import radau as radau
 from casadi_galerkin.calculus.quadrature import trapezoid as trapezoid
-from casadi_galerkin.control.adaptive_control import AdaptiveControlTranscription as AdaptiveControlTranscription
 from casadi_galerkin.control.control_sensitivity import ControlSensitivity as ControlSensitivity
 from casadi_galerkin.control.control_transcription import ControlTranscription as ControlTranscription
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem as BoundaryProblem

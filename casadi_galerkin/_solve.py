@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
-from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement, first_discretization
+from casadi_galerkin.boundary.repeated_refinement import RepeatedRefinement
 from casadi_galerkin.boundary.sensitivity import Sensitivity, boundary_function, boundary_sensitivity
-from casadi_galerkin.boundary.transcription import GraphCache, Transcription, transcribed
+from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
-from casadi_galerkin.calculus.numbers import check_verbose, whole
-from casadi_galerkin.control.adaptive_control import AdaptiveControlTranscription
+from casadi_galerkin.calculus.numbers import check_verbose, counted, whole
 from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.control_refinement import ControlRefinement, first_control_discretization
 from casadi_galerkin.control.control_sensitivity import ControlSensitivity
@@ -41,36 +39,37 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.stepping.initial_value import integrate, to_tolerance
 
+Answer = TypeVar("Answer", bound=Trajectory)
+
+if TYPE_CHECKING:
+    from typing_extensions import TypedDict, Unpack
+
+    class Refined(TypedDict, total=False):
+        """Where a refinement begins, and what it is of."""
+
+        mesh: ArrayLike | None
+        of: Quantity | None
+        limits: Limits | None
+
+    class Options(Refined, total=False):
+        """What `solve` takes."""
+
+        tol: float | None
+        guess: Any
+        solver: Solver | None
+        starts: int
+        verbose: int
+
 
 @overload
 def solve(
-    problem: ControlProblem,
-    method: Galerkin | None = None,
-    intervals: int | None = None,
-    *,
-    tol: float | None = None,
-    of: Quantity | None = None,
-    mesh: ArrayLike | None = None,
-    guess: Guess | None = None,
-    solver: Solver | None = None,
-    limits: Limits | None = None,
-    starts: int = 1,
-    verbose: int = 0,
+    problem: ControlProblem, method: Galerkin | None = None, intervals: int | None = None, **options: Unpack[Options]
 ) -> ControlTrajectory: ...
 
 
 @overload
 def solve(
-    problem: Phases,
-    method: Galerkin | None = None,
-    intervals: int | Sequence[int] | None = None,
-    *,
-    tol: float | None = None,
-    mesh: ArrayLike | None = None,
-    guess: Any = None,
-    solver: Solver | None = None,
-    limits: Limits | None = None,
-    verbose: int = 0,
+    problem: Phases, method: Galerkin | None = None, intervals: Any = None, **options: Unpack[Options]
 ) -> PhasesTrajectory: ...
 
 
@@ -79,14 +78,7 @@ def solve(
     problem: BoundaryProblem | InitialProblem,
     method: Galerkin | None = None,
     intervals: int | None = None,
-    *,
-    tol: float | None = None,
-    of: Quantity | None = None,
-    mesh: ArrayLike | None = None,
-    guess: Guess | None = None,
-    solver: Solver | None = None,
-    limits: Limits | None = None,
-    verbose: int = 0,
+    **options: Unpack[Options],
 ) -> Trajectory: ...
 
 
@@ -176,14 +168,12 @@ def solve(
     ([1.188395106], True)
     """
     check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem, Phases)
-    check_method(method, optional=True)
     check_verbose(verbose)
     if not isinstance(problem, ControlProblem) and whole(starts) != 1:
         several = "`paths` finds several paths of a BoundaryProblem"
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
-    tolerance = None if tol is None else check_tolerance(tol)
-    _check_limits(limits, not isinstance(problem, InitialProblem) or tolerance is not None)
-    check_asked(of, tol)
+    limited = not isinstance(problem, InitialProblem) or tol is not None
+    tolerance = _tolerance(method, tol, of, limits, limited)
     if isinstance(problem, InitialProblem):
         extra = [name for name, value in {"guess": guess, "solver": solver}.items() if value is not None]
         if extra:
@@ -194,26 +184,17 @@ def solve(
         return steps(_given(method), mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
     if solver is None:
         solver = newton if isinstance(problem, BoundaryProblem) else ipopt
-    if tolerance is None:
-        graph = _graph(problem, method, intervals, mesh, one_by_one if starts == 1 else by_rows)
-        with until(math.inf if limits is None else time.perf_counter() + limits.seconds):
-            if isinstance(graph, ControlTranscription):
-                return best_of(starts, graph.problem, guess, partial(graph.solve, solver=solver, verbose=verbose))
+    if tolerance is not None:
+        find = _refinement(problem, method, intervals, mesh, tolerance, of, limits, one_by_one, starts)
+        path: Trajectory | PhasesTrajectory = find(problem, guess, None, solver, verbose)
+        if verbose:
+            print(path)
+        return path
+    graph = _graph(problem, method, intervals, mesh, one_by_one if starts == 1 else by_rows)
+    with until(math.inf if limits is None else time.perf_counter() + limits.seconds):
+        if starts == 1:
             return graph.solve(guess=guess, solver=solver, verbose=verbose)
-    limits = limits or Limits()
-    path: Trajectory | PhasesTrajectory
-    if not isinstance(problem, BoundaryProblem):
-        check_solver(solver)
-        method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh, guess, limits)
-        refinement = ControlRefinement(problem, tolerance, method, limits, solver, verbose, of)
-        path = refinement.run(joints, guess, starts)
-    else:
-        method, joints = first_discretization(problem, tolerance, method, intervals, mesh)
-        graphs = GraphCache(problem, verbose=verbose)
-        path = BoundaryRefinement(graphs, tolerance, method, solver, limits, of).run(joints, guess)
-    if verbose:
-        print(path)
-    return path
+        return best_of(starts, problem, guess, partial(graph.solve, solver=solver, verbose=verbose))
 
 
 def _graph(
@@ -224,9 +205,47 @@ def _graph(
     mapping: PointMap = by_rows,
 ) -> Transcription | ControlTranscription:
     """Build the graph of a fixed discretization; `mapping` is how terms are evaluated at many points."""
-    if not isinstance(problem, BoundaryProblem):
-        return transcribed_control(problem, _given(method), intervals, mesh, mapping)
-    return transcribed(problem, _given(method), intervals, mesh, mapping)
+    build: Callable[..., Any] = transcribed if isinstance(problem, BoundaryProblem) else transcribed_control
+    return build(problem, _given(method), intervals, mesh, mapping)
+
+
+def _refinement(
+    problem: Any,
+    method: Galerkin | None,
+    intervals: Any,
+    mesh: ArrayLike | None,
+    tol: float,
+    of: Quantity | None,
+    limits: Limits | None,
+    mapping: PointMap = by_rows,
+    starts: int = 1,
+) -> Callable[..., Any]:
+    """Refuse what does not fit; a function (problem, guess, first path, solver, verbose) -> path to the tolerance."""
+    limits = limits or Limits()
+    if isinstance(problem, BoundaryProblem):
+        return RepeatedRefinement(problem, tol, method, intervals, mesh, limits, of, mapping).found
+    first_control_discretization(problem, tol, method, intervals, mesh, None, limits)
+    return partial(_optimized, method, intervals, mesh, tol, of, limits, starts)
+
+
+def _optimized(
+    method: Galerkin | None,
+    intervals: Any,
+    mesh: ArrayLike | None,
+    tol: float,
+    of: Quantity | None,
+    limits: Limits,
+    starts: int,
+    problem: ControlProblem | Phases,
+    guess: Guess | None,
+    first: ControlTrajectory | None,
+    solver: Solver | None,
+    verbose: int,
+) -> Any:
+    """Refine an optimum from a guess or, without one, from the first path that was found."""
+    solver, begun = check_solver(ipopt if solver is None else solver), first if guess is None else guess
+    method, joints = first_control_discretization(problem, tol, method, intervals, mesh, begun, limits)
+    return ControlRefinement(problem, tol, method, limits, solver, verbose, of).run(joints, begun, starts)
 
 
 def _given(method: Galerkin | None) -> Galerkin:
@@ -236,11 +255,106 @@ def _given(method: Galerkin | None) -> Galerkin:
     return method
 
 
-def _check_limits(limits: Limits | None, limited: bool) -> None:
+def _tolerance(
+    method: object, tol: float | None, of: Quantity | None, limits: Limits | None, limited: bool
+) -> float | None:
+    """Refuse what no kind of problem takes, or limits where nothing is limited; the tolerance, if one is given."""
+    check_method(method, optional=True)
+    tolerance = None if tol is None else check_tolerance(tol)
     if limits is not None and not isinstance(limits, Limits):
         raise TypeError(f"limits must be Limits, such as Limits(intervals=500), got {limits!r}")
     if limits is not None and not limited:
         raise ValueError("limits stop a refinement: give tol with them")
+    check_asked(of, tol)
+    return tolerance
+
+
+class AdaptiveTranscription(Generic[Answer]):
+    """A boundary or control problem with a tolerance, solved often: each solve begins on the mesh of an earlier path.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem or ControlProblem
+    tol : as for `solve`
+    find : (problem, guess, first path, solver, verbose) -> the path of a problem that is varied from this one's
+
+    Attributes
+    ----------
+    first : the first path that was found, whose mesh and degree later solves begin with; None before
+
+    Raises
+    ------
+    TypeError, ValueError
+        as for `transcribe`
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + x[0] ** 4, (0, 1), start=[0.0], end=[1.0])
+    >>> transcription = cg.transcribe(swing, tol=1e-9)
+    >>> paths = [transcription.solve(end=[end]) for end in (1.0, 1.1, 1.2)]
+    >>> all(path.error_estimate <= 1e-9 for path in paths), {len(path.t) for path in paths}
+    (True, {7})
+
+    An optimization, of which the cost is asked:
+
+    >>> move = cg.ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
+    >>> transcription = cg.transcribe(move, tol=1e-6, of=lambda path: path.cost)
+    >>> [round(transcription.solve(end=[end]).asked, 5) for end in (1.0, 2.0)]
+    [6.0, 24.0]
+    """
+
+    def __init__(self, problem: Any, tol: float, find: Callable[..., Answer]) -> None:
+        self.problem, self.tol, self.find = problem, tol, find
+        self.first: Answer | None = None
+
+    @interrupts_raised()
+    def solve(
+        self,
+        start: Sequence[float | None] | None = None,
+        end: Sequence[float | None] | None = None,
+        *,
+        parameters: Sequence[float] | None = None,
+        guess: Guess | None = None,
+        t_span: Sequence[float] | None = None,
+        solver: Solver | None = None,
+        verbose: int = 0,
+        **given: Any,
+    ) -> Answer:
+        """Solve for the path to the tolerance; whatever is left out is taken from the problem.
+
+        Parameters
+        ----------
+        t_span : times of the ends, to which meshes are stretched
+        start, end, parameters, solver, given : as for `Transcription.solve` or `ControlTranscription.solve`
+        guess : the same.  From an earlier path of a boundary problem, with other ends, times or parameters, the path is
+            followed to the new ones on its own mesh.  Where it is lost, it is a guess as any other; near a fold its
+            `morse_index` tells whether it has changed its branch.  A control problem begins with the first path that
+            was found, unless another guess is given
+        verbose : 1 prints a line for each mesh and a summary, 2 also the solver's lines
+
+        Raises
+        ------
+        LimitReached, ConjugatePointError, ConvergenceError, ValueError, TypeError
+            as for `solve`
+        """
+        check_verbose(verbose)
+        problem = self.problem.varied({"start": start, "end": end, "parameters": parameters, **given}, t_span)
+        path = self.find(problem, guess, self.first, solver, verbose)
+        self.first = self.first or path
+        if verbose:
+            print(path)
+        return path
+
+    def __repr__(self) -> str:
+        """Say what was built, and what mesh is kept."""
+        kind, size = type(self.problem).__name__, counted(self.problem.dimension, "component")
+        kept = "nothing solved yet"
+        if self.first is not None:
+            degree, intervals = self.first.method.degree, counted(len(self.first.t) - 1, "interval")
+            kept = f"first path of degree {degree} on {intervals}"
+        return f"AdaptiveTranscription of a {kind} of {size}, tol={self.tol:g}: {kept}"
 
 
 @overload
@@ -251,25 +365,19 @@ def transcribe(
 
 @overload
 def transcribe(
-    problem: BoundaryProblem,
-    method: Galerkin | None = None,
-    intervals: int | None = None,
-    *,
-    mesh: ArrayLike | None = None,
-    tol: float,
-    of: Quantity | None = None,
-    limits: Limits | None = None,
-) -> AdaptiveTranscription: ...
+    problem: ControlProblem | Phases, method: Galerkin, intervals: Any = None, *, mesh: ArrayLike | None = None
+) -> ControlTranscription: ...
 
 
 @overload
 def transcribe(
-    problem: ControlProblem | Phases,
-    method: Galerkin,
-    intervals: int | Sequence[int] | None = None,
+    problem: BoundaryProblem,
+    method: Galerkin | None = None,
+    intervals: int | None = None,
     *,
-    mesh: ArrayLike | None = None,
-) -> ControlTranscription: ...
+    tol: float,
+    **refined: Unpack[Refined],
+) -> AdaptiveTranscription[Trajectory]: ...
 
 
 @overload
@@ -278,11 +386,9 @@ def transcribe(
     method: Galerkin | None = None,
     intervals: int | None = None,
     *,
-    mesh: ArrayLike | None = None,
     tol: float,
-    of: Quantity | None = None,
-    limits: Limits | None = None,
-) -> AdaptiveControlTranscription: ...
+    **refined: Unpack[Refined],
+) -> AdaptiveTranscription[ControlTrajectory]: ...
 
 
 def transcribe(
@@ -294,7 +400,7 @@ def transcribe(
     tol: float | None = None,
     of: Quantity | None = None,
     limits: Limits | None = None,
-) -> Transcription | AdaptiveTranscription | ControlTranscription | AdaptiveControlTranscription:
+) -> Transcription | ControlTranscription | AdaptiveTranscription[Any]:
     """Build the graph of a problem once, to solve it often: with a fixed discretization, or to a tolerance.
 
     With `tol`, mesh and degree are those that the first path needed; they are adapted where they no longer serve.
@@ -311,8 +417,8 @@ def transcribe(
 
     Returns
     -------
-    Transcription or ControlTranscription, with a tolerance AdaptiveTranscription or AdaptiveControlTranscription,
-    whose ``solve`` takes other ends, parameters, times and guesses
+    Transcription or ControlTranscription, with a tolerance AdaptiveTranscription, whose ``solve`` takes other ends,
+    parameters, times and guesses
 
     Raises
     ------
@@ -328,22 +434,13 @@ def transcribe(
     [6.0, 7.0]
     """
     check_kind(problem, BoundaryProblem, ControlProblem, Phases)
-    check_method(method, optional=True)
-    _check_limits(limits, tol is not None)
-    check_asked(of, tol)
-    tolerance = None if tol is None else check_tolerance(tol)
+    tolerance = _tolerance(method, tol, of, limits, tol is not None)
     if tolerance is None:
         return _graph(problem, method, intervals, mesh)
-    if isinstance(problem, ControlProblem):
-        limits = limits or Limits()
-        first_control_discretization(
-            problem, tolerance, method, intervals, mesh, None, limits
-        )  # refuses what does not fit
-        given = {"method": method, "intervals": intervals, "mesh": mesh, "tol": tolerance, "of": of, "limits": limits}
-        return AdaptiveControlTranscription(problem, tolerance, partial(solve, **given))
-    check_kind(problem, BoundaryProblem)
-    assert isinstance(problem, BoundaryProblem)
-    return AdaptiveTranscription(problem, tolerance, method, intervals, mesh, limits, of)
+    if isinstance(problem, Phases):
+        check_kind(problem, BoundaryProblem)
+    find = _refinement(problem, method, intervals, mesh, tolerance, of, limits)
+    return AdaptiveTranscription(problem, tolerance, find)
 
 
 def solution_function(

@@ -100,7 +100,6 @@ CASES = {
     "Row of a failure": lambda: cg.trade(SHORT, [METHOD, cg.Galerkin(2)], [4]).rows[1],
     "Sensitivity": lambda: cg.sensitivity(cg.solve(bratu_problem(), METHOD, 100)),
     "Sensitivity of many components": lambda: cg.sensitivity(cg.solve(chain(), METHOD, 20)),
-    "AdaptiveControlTranscription": lambda: cg.transcribe(double_integrator(), tol=1e-6),
     "ControlSensitivity": lambda: cg.sensitivity(cg.solve(double_integrator(), cg.Galerkin(3), 4)),
     "Geometry": lambda: cg.geometry(steps(), symmetry=rotation),
     "Geometry without symmetry": lambda: cg.geometry(cg.solve(SHORT, METHOD, 100)),

@@ -3,7 +3,7 @@
 A `graph` holds one problem, and a `transcription` solves it as often as wanted.  `refinement` chooses degree and mesh
 for a tolerance: `first_path` finds a first path, if necessary in a growing time, under a growing force or by the search
 for `several_paths`; `error_estimate` estimates the error of each path.
-`adaptive_transcription` refines repeatedly, for different data of one problem.  `continuation` follows a path while
+`repeated_refinement` does so again and again, for different data of one problem.  `continuation` follows a path while
 parameters change, and returns a `branch`; `all_paths` finds other paths between the same ends, by the search of
 `several_paths`; `sensitivity` differentiates.  `neighboring_problems` compares problems that differ in given values,
 and their paths.  `failure_report` reports failures.

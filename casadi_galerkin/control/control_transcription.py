@@ -441,10 +441,11 @@ def _check_steps(mesh: np.ndarray) -> None:
         )
 
 
-def check_solver(solver: object) -> None:
+def check_solver(solver: object) -> Solver:
     """Refuse a solver that does not optimize."""
     if not isinstance(solver, Solver) or solver.name not in SOLVER_NAMES:
         raise ValueError(f"a ControlProblem is solved by cg.ipopt, cg.fatrop or cg.sqp, got the solver {solver!r}")
+    return solver
 
 
 def transcribed_control(

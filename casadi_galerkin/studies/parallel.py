@@ -23,8 +23,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from casadi_galerkin._solve import solve, transcribe
-from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
+from casadi_galerkin._solve import AdaptiveTranscription, solve, transcribe
 from casadi_galerkin.boundary.neighboring_problems import data_vector, nearest
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -86,7 +85,9 @@ def _on_one_graph(graph: Transcription | ControlTranscription, variation: Variat
     return graph.solve(**given, mesh=map_times(graph.mesh, section_times(graph.problem), times))
 
 
-def _from_neighbors(transcription: AdaptiveTranscription, variation: Variation, known: Sequence[Known]) -> Trajectory:
+def _from_neighbors(
+    transcription: AdaptiveTranscription[Trajectory], variation: Variation, known: Sequence[Known]
+) -> Trajectory:
     """Solve to a tolerance from the nearest known path, and where that leads to none, from the straight line.
 
     A variation with a guess of its own is solved from that, on the mesh of its neighbor; one with a guess of the free
@@ -98,11 +99,11 @@ def _from_neighbors(transcription: AdaptiveTranscription, variation: Variation, 
         values = np.array([data_vector(own), *(place for place, _ in known)])
         _, near = known[nearest(values[0], values[1:], np.ptp(values, axis=0))]
         try:
-            return transcription.found(own, near if guess is None else guess, near)
+            return transcription.find(own, near if guess is None else guess, near)
         except ConvergenceError:
             if guess is not None:
                 raise
-    return transcription.found(own, guess, None)
+    return transcription.find(own, guess, None)
 
 
 def _known(answers: Iterable[Answer]) -> list[Known]:

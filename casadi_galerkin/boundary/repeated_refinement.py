@@ -1,4 +1,4 @@
-"""A boundary problem that is solved often and to a tolerance: each solve begins on the mesh of the first path.
+"""Boundary problems that are solved to a tolerance again and again: on the mesh of an earlier path.
 
 A mesh and a degree that resolve one path mostly resolve the paths for other ends and parameters.  So the mesh of the
 first path is kept, and later paths are solved on it.  The error of each is estimated; where it is too large, the
@@ -12,7 +12,6 @@ converge in one step, the curve of paths to the new ends, times and parameters i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,17 +20,15 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.neighboring_problems import ends_replaced, same_statement
-from casadi_galerkin.boundary.transcription import GraphCache, check_given
+from casadi_galerkin.boundary.transcription import GraphCache
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.functional.buffers import interrupts_raised
-from casadi_galerkin.functional.mapping import by_rows
+from casadi_galerkin.functional.mapping import PointMap, by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.curve import LoadedCurve
@@ -39,31 +36,13 @@ from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.solver import Solver, newton
 
 
-class AdaptiveTranscription:
-    """A boundary problem with a tolerance, built once and solved often.
+class RepeatedRefinement:
+    """Refinements of one boundary problem and of others that are `varied` from it, on graphs that are kept.
 
     Parameters
     ----------
     problem : BoundaryProblem
     tol, of, method, intervals, mesh, limits : as for `solve`
-
-    Attributes
-    ----------
-    first : Trajectory, the first path that was found, whose mesh and degree later solves begin with; None before
-
-    Raises
-    ------
-    TypeError, ValueError
-        as for `transcribe`
-
-    Examples
-    --------
-    >>> import casadi_galerkin as cg
-    >>> swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + x[0] ** 4, (0, 1), start=[0.0], end=[1.0])
-    >>> transcription = cg.transcribe(swing, tol=1e-9)
-    >>> paths = [transcription.solve(end=[end]) for end in (1.0, 1.1, 1.2)]
-    >>> all(path.error_estimate <= 1e-9 for path in paths), {len(path.t) for path in paths}
-    (True, {7})
     """
 
     def __init__(
@@ -73,69 +52,29 @@ class AdaptiveTranscription:
         method: Galerkin | None,
         intervals: int | None,
         mesh: ArrayLike | None,
-        limits: Limits | None,
+        limits: Limits,
         of: Quantity | None = None,
+        mapping: PointMap = by_rows,
     ) -> None:
-        self.problem, self.tol, self.limits, self.of = problem, check_tolerance(tol), limits or Limits(), of
-        self.method, self._coarse = first_discretization(problem, self.tol, method, intervals, mesh)
-        self._graphs = GraphCache(problem, by_rows)
-        self.first: Trajectory | None = None
+        self.problem, self.tol, self.limits, self.of = problem, tol, limits, of
+        self.method, self._coarse = first_discretization(problem, tol, method, intervals, mesh)
+        self._graphs = GraphCache(problem, mapping)
         # numbers of negative eigenvalues on a path's own mesh; a path is often known to several that follow it
         self._indices: WeakKeyDictionary[PiecewisePolynomial, int | None] = WeakKeyDictionary()
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickled without its Functions, which are built again from the problem."""
-        built_from = self.problem, self.tol, self.method, None, self._coarse, self.limits, self.of
-        return type(self), built_from, {"first": self.first}
-
-    @interrupts_raised()
-    def solve(
-        self,
-        start: Sequence[float | None] | None = None,
-        end: Sequence[float | None] | None = None,
-        *,
-        parameters: Sequence[float] | None = None,
-        guess: Guess | None = None,
-        t_span: Sequence[float] | None = None,
-        solver: Solver = newton,
-        verbose: int = 0,
-        **given: Sequence[float | None] | float,
-    ) -> Trajectory:
-        """Solve for the path to the tolerance; whatever is left out is taken from the problem.
-
-        Parameters
-        ----------
-        t_span : times of the ends, to which meshes are stretched
-        start, end, parameters, solver, given : as for `Transcription.solve`
-        guess : the same; from an earlier path of this problem, with other ends, times or parameters, the path is
-            followed to the new ones on its own mesh.  Where it is lost, it is a guess as any other; near a fold its
-            `morse_index` tells whether it has changed its branch
-        verbose : 1 prints a line for each mesh and a summary, 2 also the solver's lines
-
-        Raises
-        ------
-        LimitReached, ConjugatePointError, ConvergenceError, ValueError, TypeError
-            as for `solve`
-        """
-        check_given(given)
-        check_verbose(verbose)
-        changes = {"start": start, "end": end, "parameters": parameters, **given}
-        problem = self.problem.varied(changes, t_span)
-        path = self.found(problem, guess, self.first, solver, verbose)
-        self.first = self.first or path
-        if verbose:
-            print(path)
-        return path
+        return type(self), (self.problem, self.tol, self.method, None, self._coarse, self.limits, self.of)
 
     def found(
         self,
         problem: BoundaryProblem,
         guess: Guess | None,
         kept: Trajectory | None,
-        solver: Solver = newton,
+        solver: Solver | None = None,
         verbose: int = 0,
     ) -> Trajectory:
-        """Solve for the path of a problem that is `varied` from this one's.
+        """The path of a problem that is `varied` from this one's.
 
         Parameters
         ----------
@@ -146,7 +85,9 @@ class AdaptiveTranscription:
         if known is not None and problem.energy is not None:  # the duration is found, too
             problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
         graphs = self._graphs.for_problem(problem, verbose)
-        refinement = BoundaryRefinement(graphs, self.tol, self.method, solver, self.limits, self.of)
+        refinement = BoundaryRefinement(
+            graphs, self.tol, self.method, newton if solver is None else solver, self.limits, self.of
+        )
         coarse = map_times(self._coarse, section_times(self.problem), section_times(problem))
         guess = refinement.on_any_mesh(guess, coarse)
         try:
@@ -198,13 +139,3 @@ class AdaptiveTranscription:
         if lost is not None:
             raise lost
         return refinement.resume(point)
-
-    def __repr__(self) -> str:
-        """Say what was built, and what mesh is kept."""
-        size = counted(self.problem.dimension, "component")
-        words = f"AdaptiveTranscription of a boundary problem of {size}, tol={self.tol:g}"
-        if self.first is None:
-            return f"{words}: nothing solved yet"
-        return (
-            f"{words}: first path of degree {self.first.method.degree} on {counted(len(self.first.t) - 1, 'interval')}"
-        )
