@@ -1,9 +1,9 @@
 """Variations of a problem solved chunk by chunk: in this process, or by the own ``map`` of an executor of processes.
 
-Without a tolerance, chunks follow the order given.  With one, a variation starts from the path and the mesh of its
-nearest neighbor: of n variations some 2√n, the centers, are solved first, next always the one nearest to a solved one,
-and then about each of them a chunk of those that are nearest to it.  Chunks do not depend on who solves them, so that
-answers do not, either.
+A chunk has some √n / 2 of n variations; larger ones led to another branch in a porkchop plot.  Without a tolerance,
+chunks follow the order given.  With one, a variation starts from the path and the mesh of its nearest neighbor: some
+2√n, the centers, are solved first, next always the one nearest to a solved one, and then about each of them a chunk of
+those that are nearest to it.  Chunks do not depend on who solves them, so that answers do not, either.
 
 To an executor goes the pickled problem with every chunk; each worker builds its graph once.  Nothing here knows whose
 executor it is: a process pool's, Dask's ``client.get_executor()``, mpi4py's ``MPIPoolExecutor``.  What ends a worker
@@ -37,9 +37,6 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.studies.sweep_file import CutShort, SweepFile
-
-CHUNKS = 64  # of variations without neighbors: enough to keep workers busy, few enough that sending costs little
-LEAST_CHUNK = 4  # variations in a chunk of neighbors; larger than √n / 2 they led to another branch in a porkchop plot
 
 Variation = Mapping[str, Any]
 Answer = Trajectory | Exception
@@ -187,7 +184,7 @@ def by_executor(executor: Executor, pickled: bytes, chunks: list[Chunk]) -> Iter
 def answered(
     run: Run,
     variations: Sequence[Variation],
-    problems: Sequence[BoundaryProblem] | None,
+    problems: Sequence[BoundaryProblem],
     file: SweepFile | None,
 ) -> Iterator[tuple[int, Answer]]:
     """Numbers of variations and their answers, as they come.
@@ -196,17 +193,17 @@ def answered(
     ----------
     run : solves chunks, `here` or `by_executor`
     variations : in their order
-    problems : what they state, where each is solved from its neighbors; else None
+    problems : what they state, where each is solved from its neighbors; else none
     file : which has the answers of some chunks, and keeps those of the others; or None
     """
-    solved, count = partial(_in_chunks, run, variations, file), len(variations)
-    if problems is None or not count:
-        size = -(-count // CHUNKS) or 1
-        yield from solved([(list(range(first, min(first + size, count))), []) for first in range(0, count, size)])
+    solved, numbers = partial(_in_chunks, run, variations, file), range(len(variations))
+    size = 1 + math.isqrt(len(numbers)) // 2
+    if not problems:
+        yield from solved([(list(numbers[first : first + size]), []) for first in numbers[::size]])
         return
     values = np.array([data_vector(problem) for problem in problems])
     places = values / or_one(np.ptp(values, axis=0))
-    centers = np.arange(0, count, max(LEAST_CHUNK, math.isqrt(count) // 2))
+    centers = np.array(numbers[::size])
     apart = np.array([np.sum((places - places[center]) ** 2, axis=1) for center in centers])
     order, away = list[int](), apart[0, centers]  # next always the center that is nearest to one before
     for _ in centers:

@@ -235,9 +235,9 @@ def sweep(
     of : the quantity that `tol` is the tolerance of, as for `solve`; with an executor or a file a module's function
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: the solves of one process run one after the other
-    file : name of a file in which answers are kept chunk by chunk while they come, in up to 64 chunks, or, with a
-        tolerance, about √n: the same call finds them there, and solves only what is left.  Two sweeps that run at once
-        need two files.  It holds pickles: open none that you do not trust
+    file : name of a file in which answers are kept while they come, in chunks of some √n / 2: the same call finds them
+        there, and solves only what is left.  Two sweeps that run at once need two files.  It holds pickles: open none
+        that you do not trust
 
     Returns
     -------
@@ -287,7 +287,7 @@ def sweep(
     neighbors = [other for other in problems if isinstance(other, BoundaryProblem)] if tol is not None else []
     answers = dict[int, Answer]()
     with progress("sweep", len(checked)) as advance, suppress(KeyboardInterrupt):
-        for i, answer in answered(run, checked, neighbors or None, kept):
+        for i, answer in answered(run, checked, neighbors, kept):
             answers[i] = answer
             advance(1)
     cut_short = CutShort("the sweep was interrupted before this variation was solved")
