@@ -1,6 +1,7 @@
-"""Cost, equations and their exact derivatives as CasADi graphs, assembled from pointwise derivatives.
+"""Cost, equations and their exact derivatives as CasADi graphs: embed, evaluate pointwise, integrate.
 
-With A, Ê, Θ and Λ of the `Embedding`, and at every place z_k the cost c_k and the rows e_k of `control_terms`,
+With A, Θ and Λ of `control_places`, Ê the rows of A whose inputs depend on unknowns and the columns of the unknowns,
+and at every place z_k the cost c_k and the rows e_k,
 
     cost        f  = Σ w_k c_k                    ∇f = Êᵀ [w_k ∇c_k]
     equations   G  = Θ [e_k] + Λ y                ∇G = Θ blockdiag(∇e_k) Ê + Λ
@@ -23,9 +24,8 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import largest_of
-from casadi_galerkin.control.control_embedding import Embedding, PlaceLayout
 from casadi_galerkin.control.control_numbering import Chain, Field, Numbering
-from casadi_galerkin.control.control_terms import all_places
+from casadi_galerkin.control.control_places import all_places, linear
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -81,7 +81,7 @@ class ControlGraph:
     unknowns, data : MX symbols
     cost, equations : MX expressions f and G
     places : Places of all kinds
-    inputs : MX expressions A ξ, the inputs at all kinds of places
+    matrix : A
     """
 
     def __init__(
@@ -97,47 +97,63 @@ class ControlGraph:
             for i, join in enumerate(self.joins.each)
         ]
         numbering = self.numbering = Numbering(chains, fields, not several)
-        made = self.embedding = Embedding(numbering)
-        count, self.places = numbering.unknowns, all_places(phases, self.joins, made, mapping)
+        self.places, self.matrix, self._test = all_places(phases, self.joins, numbering, mapping)
+        self._linear, count = linear(numbering), numbering.unknowns
         self.unknowns, self.data = ca.MX.sym("unknowns", count), ca.MX.sym("data", numbering.size - count)
         self._everything = ca.vertcat(self.unknowns, self.data)
-        self.inputs = _split(ca.mtimes(made.matrix, self._everything), made.inputs)
-        rule = ca.DM(numbering.chains[0].method.element.weights).T
-        counts = {place.count for place in self.places if place.integrated}
-        every = {count: ca.MX(ca.repmat(rule, 1, count // rule.numel())) for count in counts}
-        self._weights = [every[place.count] if place.integrated else 1.0 for place in self.places]
-        self._costs = self._weighted(self._evaluate("value", self.inputs))
+        widths = [place.terms.z.numel() for place in self.places]
+        self._inputs = [[z] for z in self._split(ca.mtimes(self.matrix, self._everything), widths)]
+        self._costs = self._weighted(self._evaluate("cost", self._inputs))
         self.cost = ca.densify(ca.sum2(ca.horzcat(*self._costs)))
-        self._rows = self._evaluate("equations", self.inputs)
-        summed = ca.mtimes(made.test.T, ca.veccat(*self._rows)) + ca.mtimes(made.linear, self.unknowns)
-        self.equations = ca.densify(summed)
+        self._rows = ca.veccat(*self._evaluate("rows", self._inputs))
+        self.equations = ca.densify(ca.mtimes(self._test.T, self._rows) + ca.mtimes(self._linear, self.unknowns))
 
-    def _evaluate(self, name: str, *arguments: list[ca.MX]) -> list[ca.MX]:
-        """Evaluate one pointwise Function at all kinds of places."""
-        given = zip(self.places, *arguments, strict=True)
-        return [place.evaluate(getattr(place.terms, name), *arrays) for place, *arrays in given]
+    def _split(self, stacked: ca.MX, widths: Sequence[int]) -> list[ca.MX]:
+        """Cut a long vector into one matrix for each kind of place."""
+        sizes = [place.count * width for place, width in zip(self.places, widths, strict=True)]
+        given = zip(ca.vertsplit(stacked, np.cumsum([0, *sizes]).tolist()), widths, self.places, strict=True)
+        return [ca.reshape(part, width, place.count) for part, width, place in given]
+
+    def _evaluate(self, name: str, arguments: list[list[ca.MX]]) -> list[ca.MX]:
+        """Evaluate one pointwise expression at all kinds of places."""
+        return [place.evaluate(name, *given) for place, given in zip(self.places, arguments, strict=True)]
 
     def _weighted(self, values: list[ca.MX]) -> list[ca.MX]:
         """Values at all kinds of places, those at quadrature points with their weights."""
-        return [value * weight for value, weight in zip(values, self._weights, strict=True)]
+        given = zip(values, self.places, strict=True)
+        return [value * ca.MX(ca.repmat(place.weights, value.shape[0], 1)) for value, place in given]
 
-    def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
-        """Blockdiag(·) of one matrix per place, from their nonzeros at all kinds of places."""
-        kinds = zip(patterns, self.embedding.inputs, strict=True)
-        blocks = [block for pattern, place in kinds for block in [pattern] * place.count]
-        return ca.MX(ca.diagcat(*blocks), ca.veccat(*entries))
+    def _active(self, values: list[ca.MX]) -> ca.MX:
+        """What belongs to inputs that depend on unknowns, of what belongs to all inputs."""
+        given = zip(values, self.places, strict=True)
+        return ca.veccat(*(value[place.terms.active.tolist(), :] for value, place in given))
+
+    def _blocks(self, name: str, arguments: list[list[ca.MX]]) -> ca.MX:
+        """Blockdiag(·) of one matrix per place."""
+        blocks = [pattern for place in self.places for pattern in [getattr(place.terms, name).sparsity()] * place.count]
+        return ca.MX(ca.diagcat(*blocks), ca.veccat(*self._evaluate(name, arguments)))
 
     @cached_property
-    def _gradients(self) -> ca.MX:
+    def _differentiated(self) -> ca.DM:
+        """Rows of A of the inputs that depend on unknowns."""
+        numbers = np.arange(self.matrix.shape[0])
+        rows = [numbers[p.rows].reshape(p.count, -1)[:, p.terms.active].ravel() for p in self.places]
+        return self.matrix[np.concatenate(rows).tolist(), :]
+
+    @cached_property
+    def _derivative(self) -> ca.DM:
+        """Ê: inputs that depend on unknowns x unknowns."""
+        return self._differentiated[:, : self.numbering.unknowns]
+
+    @cached_property
+    def _cost_gradients(self) -> ca.MX:
         """[w_k ∇c_k], structurally zero at places without costs."""
-        gradients = zip(self.places, self._evaluate("gradient", self.inputs), self._weights, strict=True)
-        return ca.veccat(*(g * ca.repmat(w, g.size1(), 1) if place.integrated else g for place, g, w in gradients))
+        return ca.veccat(*self._weighted(self._evaluate("cost_gradient", self._inputs)))
 
     @cached_property
     def _derivatives(self) -> ca.MX:
         """Blockdiag(∇e_k)."""
-        patterns = [place.terms.derivatives.sparsity() for place in self.places]
-        return self._blocks(patterns, self._evaluate("jacobian", self.inputs))
+        return self._blocks("jacobian", self._inputs)
 
     def _function(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
         """A Function of (unknowns, data, ...); some have names under which fatrop looks for them."""
@@ -146,45 +162,48 @@ class ControlGraph:
     @cached_property
     def gradient(self) -> ca.Function:
         """(unknowns, data) -> f, ∇f."""
-        slope = ca.densify(ca.mtimes(self.embedding.derivative.T, self._gradients))
-        return self._function("gradient", [self.cost, slope])
+        return self._function("gradient", [self.cost, ca.densify(ca.mtimes(self._derivative.T, self._cost_gradients))])
 
     @cached_property
     def jacobian(self) -> ca.Function:
         """(unknowns, data) -> G, ∇G."""
-        made = self.embedding
-        matrix = ca.mtimes(made.test.T, ca.mtimes(self._derivatives, made.derivative)) + made.linear
+        matrix = ca.mtimes(self._test.T, ca.mtimes(self._derivatives, self._derivative)) + self._linear
         return self._function("nlp_jac_g", [self.equations, matrix])
 
     @cached_property
-    def _lagrangian(self) -> tuple[ca.MX, ca.MX, tuple[list[ca.MX], ...], ca.MX]:
-        """Symbols φ and λ, the arguments of the pointwise derivatives of f̄, and Λᵀλ."""
-        made, factor = self.embedding, ca.MX.sym("factor")
-        multipliers = ca.MX.sym("multipliers", self.numbering.equations)
-        weights = [factor * weight for weight in self._weights]
-        local_multipliers = _split(ca.mtimes(made.test, multipliers), made.outputs)
-        return factor, multipliers, (self.inputs, weights, local_multipliers), ca.mtimes(made.linear.T, multipliers)
+    def _multipliers(self) -> list[ca.MX]:
+        """Symbols φ and λ."""
+        return [ca.MX.sym("factor"), ca.MX.sym("multipliers", self.numbering.equations)]
+
+    @cached_property
+    def _at_places(self) -> list[list[ca.MX]]:
+        """The arguments of the pointwise derivatives of f̄: inputs, φ w_k and (Θᵀλ)_k."""
+        factor, multipliers = self._multipliers
+        local = self._split(ca.mtimes(self._test, multipliers), [place.terms.rows.numel() for place in self.places])
+        return [[*z, factor * ca.MX(p.weights), mu] for z, p, mu in zip(self._inputs, self.places, local, strict=True)]
 
     @cached_property
     def _upper_hessian(self) -> ca.MX:
         """Upper half of ∇²f̄."""
-        patterns = [place.terms.second_derivatives.sparsity() for place in self.places]
-        blocks = self._blocks(patterns, self._evaluate("hessian", *self._lagrangian[2]))
-        left, right = ca.MX(self.embedding.derivative.T), ca.mtimes(blocks, self.embedding.derivative)
+        left = ca.MX(self._derivative.T)
+        right = ca.mtimes(self._blocks("hessian", self._at_places), self._derivative)
         return ca.mac(left, right, ca.MX.zeros(ca.triu(ca.mtimes(left.sparsity(), right.sparsity()))))
 
     @cached_property
     def hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> upper half of ∇²f̄."""
-        return self._function("hessian", [self._upper_hessian], *self._lagrangian[:2])
+        return self._function("hessian", [self._upper_hessian], *self._multipliers)
+
+    def _slope(self, gradients: list[ca.MX]) -> ca.MX:
+        """∇f̄, from its gradients at the places."""
+        linear = ca.mtimes(self._linear.T, self._multipliers[1])
+        return ca.densify(ca.mtimes(self._derivative.T, self._active(gradients)) + linear)
 
     @cached_property
     def whole_hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> ∇f̄, ∇²f̄."""
-        factor, multipliers, given, linear = self._lagrangian
-        gradients = ca.veccat(*self._evaluate("lagrangian_gradient", *given))
-        slope = ca.densify(ca.mtimes(self.embedding.derivative.T, gradients) + linear)
-        return self._function("nlp_hess_l", [slope, ca.triu2symm(self._upper_hessian)], factor, multipliers)
+        slope = self._slope(self._evaluate("gradient", self._at_places))
+        return self._function("nlp_hess_l", [slope, ca.triu2symm(self._upper_hessian)], *self._multipliers)
 
     @cached_property
     def _verification(self) -> ObjectPool[Evaluator]:
@@ -193,45 +212,39 @@ class ControlGraph:
         Two sizes of every equation are among them: the sum of the sizes of its terms, and the sum of the sizes of the
         terms of these, Σ |∂e/∂z| |z|, which may cancel.
         """
-        made, (factor, multipliers, given, linear) = self.embedding, self._lagrangian
-        local_multipliers = given[2]
-        test, sizes = ca.fabs(made.test.T), ca.MX.sym("sizes", self.numbering.unknowns)
-        others = ca.mtimes(ca.fabs(made.linear), sizes)
-        magnitudes = ca.mtimes(ca.fabs(made.differentiated), ca.vertcat(sizes, ca.fabs(self.data)))
+        test, sizes = ca.fabs(self._test.T), ca.MX.sym("sizes", self.numbering.unknowns)
+        others = ca.mtimes(ca.fabs(self._linear), sizes)
+        magnitudes = ca.mtimes(ca.fabs(self._differentiated), ca.vertcat(sizes, ca.fabs(self.data)))
         canceled = ca.mtimes(ca.fabs(self._derivatives), magnitudes)
+        changes = self._active([z - ca.repmat(ca.sum2(z) / z.shape[1], 1, z.shape[1]) for (z,) in self._inputs])
+        curvature = [[z, place.weights, 0 * mu] for (z, _, mu), place in zip(self._at_places, self.places, strict=True)]
+        of_changes = ca.bilin(ca.fabs(self._blocks("hessian", curvature)), *[ca.fabs(changes)] * 2) / 2
+        gradients = self._evaluate("gradient", self._at_places)
         starts = np.concatenate([chain.fields["x"][0, chain.mechanical :] for chain in self.numbering.chains])
-        at_points = [np.full(place.count * len(place.terms.active), float(place.integrated)) for place in self.places]
-        slopes = self._gradients + ca.mtimes(self._derivatives.T, ca.veccat(*local_multipliers))
-        active = [z[place.terms.active.tolist(), :] for place, z in zip(self.places, self.inputs, strict=True)]
-        changes = [z - ca.repmat(ca.sum2(z) / z.shape[1], 1, z.shape[1]) for z in active]
-        costs, actions, hamiltonians, at_places = (
-            list[ca.MX](),
-            list[ca.MX](),
-            list[ca.MX](),
-            [*zip(*given, strict=True)],
-        )
-        for phase in made.phases:
-            i = made.inputs.index(phase.points)
-            part, duration = (int(phase.points.row(name)[0, 0] - phase.points.first) for name in ("part", "duration"))
-            function = self.places[i].terms.action_and_derivative(part)
-            action, by_step = self.places[i].evaluate(function, *at_places[i])
-            costs.append(ca.sum2(ca.horzcat(*self._costs[i : i + len(phase.inputs)])))
-            actions.append(ca.sum2(self._weights[i] * action))
-            step = self.inputs[i][duration, :]
-            hamiltonians.append(ca.sum1(ca.reshape(by_step / step, -1, phase.chain.intervals)).T)
+        points = [i for i, place in enumerate(self.places) if place.integrated]
+        costs, actions, hamiltonians = list[ca.MX](), list[ca.MX](), list[ca.MX]()
+        for chain, first, last in zip(self.numbering.chains, points, [*points[1:], None], strict=True):
+            place, (z,) = self.places[first], self._inputs[first]
+            costs.append(ca.sum2(ca.horzcat(*self._costs[first : last if last or len(points) == 1 else -1])))
+            actions.append(ca.sum2(place.evaluate("action", z) * place.weights))
+            step = z[place.names["duration"], :]
+            by_step = gradients[first][place.names["part"], :]
+            hamiltonians.append(ca.sum1(ca.reshape(by_step / step, -1, chain.intervals)).T)
+        at_points = [g * float(place.integrated) for g, place in zip(gradients, self.places, strict=True)]
         outputs = [
             self.cost,
-            ca.sum2(ca.horzcat(*self._weighted(self._evaluate("cost_terms", self.inputs, changes)))),
+            of_changes,
             ca.vertcat(*costs),
             ca.vertcat(*actions),
             self.equations,
-            ca.mtimes(test, ca.fabs(ca.veccat(*self._rows))) + others,
+            ca.mtimes(test, ca.fabs(self._rows)) + others,
             ca.mtimes(test, canceled) + others,
-            ca.mtimes(made.derivative.T, slopes) + linear,
+            self._slope(gradients),
             ca.vertcat(*hamiltonians),
-            ca.mtimes(made.derivative[:, starts.tolist()].T, slopes * ca.DM(np.concatenate(at_points))),
+            ca.mtimes(self._derivative[:, starts.tolist()].T, self._active(at_points)),
         ]
-        verification = self._function("verification", [*map(ca.densify, outputs)], factor, multipliers, sizes)
+        extra = [*self._multipliers, sizes]
+        verification = self._function("verification", [*map(ca.densify, outputs)], *extra)
         return ObjectPool(lambda: Evaluator(verification))
 
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
@@ -265,9 +278,3 @@ def meshes_of(phases: Sequence[ControlProblem], mesh: np.ndarray) -> list[np.nda
     """The joints of every phase, of those of the whole."""
     cuts = np.searchsorted(mesh, [phase.t_span[1] for phase in phases]).tolist()
     return [mesh[first : last + 1] for first, last in pairwise([0, *cuts])]
-
-
-def _split(stacked: ca.MX, places: Sequence[PlaceLayout]) -> list[ca.MX]:
-    """Cut a long vector into one matrix for each kind of place."""
-    parts = ca.vertsplit(stacked, [0, *(place.last for place in places)])
-    return [ca.reshape(part, place.width, place.count) for part, place in zip(parts, places, strict=True)]

@@ -115,13 +115,10 @@ def refuse_not_finite(
 ) -> None:
     """Name what is not finite at the guess: a callable along the path, or else an equation or a first derivative."""
     numbering = graph.numbering
-    seen, values = (
-        (graph.embedding.matrix @ np.concatenate((unknowns, data))).full().ravel(),
-        numbering.unpack(unknowns, data),
-    )
-    for problem, of_phase, given in zip(phases, graph.embedding.phases, values, strict=True):
-        points = of_phase.points
-        at = {name: seen[points.row(name)].T for name in points.rows}
+    values, points = numbering.unpack(unknowns, data), [place for place in graph.places if place.integrated]
+    inputs = (graph.matrix @ np.concatenate((unknowns, data))).full().ravel()
+    for problem, place, given in zip(phases, points, values, strict=True):
+        at = place.named(inputs)
         times, v = (at["begin"] + at["duration"] * at["fraction"]).ravel(), at["slope"] / (at["duration"] * at["part"])
         p = [] if problem.parameters is None else [given["parameters"]]
         found = _undefined_at(problem, times, at["x"], v, at["controls"], p)
