@@ -21,7 +21,7 @@ from casadi_galerkin.boundary.transcription import transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.constrained_ends import relative_residuals
+from casadi_galerkin.problems.constrained_motion import relative_residuals
 from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory

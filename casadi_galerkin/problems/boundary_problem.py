@@ -20,7 +20,7 @@ from casadi_galerkin.calculus.numbers import components, counted, finite
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.callables import depends_on_time, with_multipliers
-from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint
+from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.expressions import pattern, too_many
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, with_values

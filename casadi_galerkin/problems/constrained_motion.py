@@ -1,4 +1,4 @@
-"""Motion at one instant under holonomic constraints g(t, x) = 0 and controls: tangents, accelerations, multipliers.
+"""Holonomic constraints g(t, x) = 0: ends that fulfil them, and motion under them at one instant.
 
 With G = ∂g/∂x, the velocity of a path on the constraint is tangent, G v + ∂g/∂t = 0, and the impulse of the constraint
 changes a momentum by Gᵀμ only.  Accelerations and multipliers λ follow from one linear system,
@@ -10,23 +10,99 @@ with p = ∂L/∂v and M = ∂p/∂v.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lobatto_points
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
-from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
+from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
 from casadi_galerkin.problems.callables import depends_on_time
-from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.expressions import POSITIONS, depends_on_free, rows_that_depend, sizes_of_terms
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
+if TYPE_CHECKING:
+    from casadi_galerkin.problems.control_problem import ControlProblem
+
+CONSTRAINT_TOLERANCE = 1e-12  # accepted violation by a given position or velocity, relative to the terms of g
 # Violation of a constraint between the nodes, over the change of g along the path, from which a path is refused.  One
 # chord of an arc has 0.09; jumps through the center of a circle were measured at 0.16 to 0.25.
 LARGEST_VIOLATION = 0.1
+
+
+def impossible_constraint(problem: Any) -> Iterator[str]:
+    """A constraint leaves nothing free, or does not depend on the path."""
+    if problem.constraint is None:
+        return
+    d, k = problem.dimension, problem.constraint.size1_out(0)
+    if k >= d:
+        yield f"a constraint must leave the path free to move: {counted(k, 'value')} for {counted(d, 'component')}"
+    constant = np.flatnonzero(~rows_that_depend(problem.constraint, POSITIONS, np.ones(d, dtype=bool)))
+    if len(constant):
+        yield f"the constraint must depend on x, but constraint[{constant[0]}] does not: no path can be held to it"
+
+
+def relative_residuals(
+    value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = (), least: Any = 0.0
+) -> ca.Function:
+    """(symbols, further) -> residuals (k,), these over what is accepted as rounding, and derivatives (k, n).
+
+    The derivatives are those by the symbols.  Accepted are `CONSTRAINT_TOLERANCE` of every symbol, or of its `least`
+    size, times the derivative by it, and eps of all terms.  The time is among the symbols: its rounding counts, too.
+    """
+    slopes, inputs = ca.densify(ca.jacobian(value, ca.vertcat(*symbols))), [*symbols, *further]
+    sizes = ca.fmax(ca.fabs(ca.vertcat(*symbols)), least)
+    accepted = CONSTRAINT_TOLERANCE * ca.mtimes(ca.fabs(slopes), sizes) + EPS * sizes_of_terms(value, inputs) + TINY
+    return ca.Function("over_terms", inputs, [value, ca.fabs(value) / accepted, slopes])
+
+
+def constraint_at_ends(problem: Any) -> Iterator[str]:
+    """What is given at an end violates a constraint, leaves less free than that asks for, or makes it redundant.
+
+    Looked at are constraints that depend on nothing free.  A velocity that is given at a given position must be
+    tangent, G v + ∂g/∂t = 0, up to rounding of the largest velocity, or of the largest length over the duration.
+    """
+    ends, function, d = problem.given_at_ends, problem.numeric.constraint, problem.dimension
+    for k, (name, (t, x, v, p)) in enumerate(ends.items() if function is not None else ()):
+        (time, place), velocity, free = function.sx_in(), ca.SX.sym("v", d), np.isnan(x)
+        stated, known = f"x = {list(getattr(problem, name))}", ~depends_on_free(problem.constraint, (t, x, p))
+        unknowns, conditions = (int(np.sum(a)) for a in (free, rows_that_depend(function, POSITIONS, free)))
+        if conditions > unknowns:
+            yield (
+                f"{name} = {stated[4:]} leaves {counted(unknowns, 'component')} free, on which "
+                f"{counted(conditions, 'value')} of the constraint depend: give the whole position, or less of it"
+            )
+        held, at = function(time, place), (problem.t_span[k], np.nan_to_num(x))
+        values, missed, slopes = (np.array(a) for a in relative_residuals(held, [time, place])(*at))
+        for i in np.flatnonzero(known & ~(missed[:, 0] <= 1)).tolist():
+            yield (
+                f"the constraint must be zero at the given {name}, {stated}: constraint[{i}] is {values[i, 0]:g}, and "
+                f"only rounding, up to {abs(values[i, 0]) / missed[i, 0]:.0e}, is accepted"
+            )
+        slope = slopes[:, 1:]
+        rows = or_one(np.linalg.norm(slope, axis=1))
+        if known.all() and np.linalg.matrix_rank(slope / rows[:, None], tol=1e3 * EPS) < len(known):
+            yield (
+                f"the constraints are redundant at the given {name}, {stated}: their gradients, the rows of "
+                f"{slope.tolist()}, are linearly dependent"
+            )
+        if np.isnan((*x, *v)).any():
+            continue
+        rate, length = ca.jtimes(held, place, velocity) + ca.jacobian(held, time), np.abs(x).max()
+        least = [0.0, *[length] * d, *[max(np.abs(v).max(), length / np.ptp(problem.t_span))] * d]
+        rates, missed, _ = (np.array(a) for a in relative_residuals(rate, [time, place, velocity], (), least)(*at, v))
+        of = f"{name}_velocity" if len(ends) > 1 else "velocity"
+        for i in np.flatnonzero(known & (missed[:, 0] > 1)).tolist():
+            yield (
+                f"{of} must be tangent to the constraint at {stated}, got {v.tolist()}: the rate of constraint[{i}] is "
+                f"{rates[i, 0]:g}"
+            )
 
 
 @lru_cache(8)

@@ -26,7 +26,15 @@ from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.bounds import Limited
 from casadi_galerkin.problems.callables import depends_on_time, left_out, of_zeros
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
-from casadi_galerkin.problems.expressions import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
+from casadi_galerkin.problems.expressions import (
+    CONTROLS,
+    POSITIONS,
+    TIME,
+    VELOCITIES,
+    depends_on_free,
+    entries_of,
+    rows_that_depend,
+)
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import Problem, is_given, section_times, with_values
 from casadi_galerkin.problems.statements import Statement, is_limited, optional, plain
@@ -211,14 +219,15 @@ class ControlProblem(Problem):
         """Number of holonomic constraints."""
         return 0 if self.constraint is None else self.constraint.numel_out(0)
 
-    def determined_constraints(self, end: int) -> np.ndarray:
-        """Which holonomic constraints depend at the start, 0, or the end, 1, on no free time and no free parameter."""
-        open_ones = np.zeros(self.constraints, dtype=bool)
-        if self.parameter_bounds is not None:
-            open_ones |= rows_that_depend(self.constraint, 2, np.less(*self.parameter_bounds))
-        if end == 1 and self.duration_bounds is not None:
-            open_ones |= rows_that_depend(self.constraint, TIME, [True])
-        return ~open_ones
+    @property
+    def given_at_ends(self) -> dict[str, tuple[np.ndarray, ...]]:
+        """As of any problem; times and parameters may be free."""
+        ends, moved = super().given_at_ends, self.initial_time_bounds is not None
+        for name, (t, x, v, p) in ends.items():
+            moved |= name == "end" and self.duration_bounds is not None
+            free = self.parameter_bounds is not None and np.less(*self.parameter_bounds)
+            ends[name] = np.where(moved, np.nan, t), x, v, np.where(free, np.nan, p)
+        return ends
 
     @property
     def constraint_satisfied(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -227,11 +236,12 @@ class ControlProblem(Problem):
         What is given of a position does, and then a given velocity, where the constraint depends on nothing free; and
         rest does wherever the constraint does not depend on time.
         """
+        if self.constraint is None:
+            return [(np.zeros(0, dtype=bool),) * 2] * 2
         at_rest, ends = ~rows_that_depend(self.constraint, TIME, [True]), []
-        for k, (x, v) in enumerate(((self.start, self.start_velocity), (self.end, self.end_velocity))):
-            free = rows_that_depend(self.constraint, POSITIONS, [value is None for value in x])
-            satisfied = self.determined_constraints(k) & ~free
-            ends.append((satisfied, (satisfied & (None not in v)) | (at_rest & all(rate == 0 for rate in v))))
+        for t, x, v, p in self.given_at_ends.values():
+            satisfied = ~depends_on_free(self.constraint, (t, x, p))
+            ends.append((satisfied, (satisfied & ~np.isnan(v).any()) | (at_rest & bool(np.all(v == 0)))))
         return ends
 
     @property

@@ -12,15 +12,15 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.problems.bounds import FEASIBLE, Limited, keeps_to
-from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
+from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.expressions import (
     CONTROLS,
     POSITIONS,
     VELOCITIES,
     entries_of,
     pattern,
-    rows_that_depend,
     too_many,
+    values_given,
 )
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, section_times
 from casadi_galerkin.problems.statements import is_limited
@@ -154,43 +154,33 @@ def _given_outside(problem: Any) -> Iterator[str]:
 
 def _functions_of_given_ends(problem: Any) -> Iterator[str]:
     """A given state at an end violates a path constraint without controls, or given ends an end condition."""
-    for k, name in enumerate(ENDS):
-        when = np.nan if k and problem.duration_bounds is not None else problem.t_span[k]
-        given = when, getattr(problem, name), getattr(problem, f"{name}_velocity"), (np.nan,) * problem.controls
+    u, ends = np.full(problem.controls, np.nan), problem.given_at_ends
+    for name, (t, x, v, p) in ends.items():
         where = f"at the {name} whatever the controls"
-        yield from _outside(problem, problem.path_constraint, given, "path constraint", where)
-    yield from _outside(problem, problem.end_conditions, _ends(problem), "end condition", "with the ends given")
+        yield from _outside(problem.path_constraint, (t, x, v, u, p), "path constraint", where)
+    (_, x0, v0, p), (_, x1, v1, _) = ends.values()
+    yield from _outside(problem.end_conditions, (x0, v0, x1, v1, p), "end condition", "with the ends given")
 
 
-def _ends(problem: Any) -> tuple[Sequence[Any], ...]:
-    return problem.start, problem.start_velocity, problem.end, problem.end_velocity
-
-
-def _outside(problem: Any, limited: Limited, given: Sequence[Any], name: str, where: str) -> Iterator[str]:
-    """Values of a function outside their bounds where they depend on nothing free, which is NaN or None."""
+def _outside(limited: Limited, given: Sequence[Any], name: str, where: str) -> Iterator[str]:
+    """Values of a function outside their bounds where they depend on nothing free, which is NaN."""
     g, low, high = limited
     if not low:  # its sparsity is not looked up in every repeated solve
         return
-    arrays = [np.array(values, dtype=float).ravel() for values in given]
-    if problem.parameters is not None:
-        free = problem.parameter_bounds is not None and np.less(*problem.parameter_bounds)
-        arrays.append(np.where(free, np.nan, problem.parameters))
-    free_rows = np.any([rows_that_depend(g, k, np.isnan(values)) for k, values in enumerate(arrays)], axis=0)
-    values = np.array(g(*map(np.nan_to_num, arrays))).ravel()
-    sizes = np.abs([low, high])
+    values, sizes = values_given(g, given), np.abs([low, high])
     accepted = FEASIBLE * or_one(np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=0))
-    for i in np.flatnonzero(~free_rows & np.isfinite(values)).tolist():  # a ratio may be 0/0 at an end
+    for i in np.flatnonzero(np.isfinite(values)).tolist():  # a ratio may be 0/0 at an end
         if not low[i] - accepted[i] <= values[i] <= high[i] + accepted[i]:
             yield f"{name} {i} is {values[i]} {where}, outside its bounds [{low[i]}, {high[i]}]"
 
 
 def _conditions_on_free_ends(problem: Any) -> Iterator[str]:
-    """More end conditions with equal bounds than the free values of (x_0, v_0, x_N, v_N), NaN, can meet."""
-    (g, low, high), ends = problem.end_conditions, np.array(_ends(problem), dtype=float).ravel()
+    """More end conditions with equal bounds than the free values of (x_0, v_0, x_N, v_N, p), NaN, can meet."""
+    g, low, high = problem.end_conditions
     if not low:
         return
-    uses = np.hstack([pattern(g, k) for k in range(g.n_in())])
-    free = np.append(np.isnan(ends), np.full(uses.shape[1] - len(ends), problem.parameter_bounds is not None))
+    (_, x0, v0, p), (_, x1, v1, _) = problem.given_at_ends.values()
+    uses, free = np.hstack([pattern(g, k) for k in range(g.n_in())]), np.isnan(np.concatenate((x0, v0, x1, v1, p)))
     equal = np.equal(low, high) & (uses & free).any(axis=1)
     yield from too_many("end_conditions with equal bounds", uses[equal], free)
 
@@ -206,6 +196,5 @@ RULES = (
 RULES_OF_VALUES = (
     _given_outside,
     constraint_at_ends,
-    leaving_velocity,
     _functions_of_given_ends,
 )

@@ -37,6 +37,18 @@ def rows_that_depend(function: ca.Function | None, argument: int, chosen: ArrayL
     return np.any(pattern(function, argument)[:, np.asarray(chosen, dtype=bool)], axis=1)
 
 
+def depends_on_free(function: ca.Function, given: Sequence[np.ndarray]) -> np.ndarray:
+    """Which values of a Function depend on anything that is free, NaN in what is given for its arguments; (values,)."""
+    arrays = enumerate(given[: function.n_in()])
+    return np.any([rows_that_depend(function, k, np.isnan(np.ravel(values))) for k, values in arrays], axis=0)
+
+
+def values_given(function: ca.Function, given: Sequence[np.ndarray]) -> np.ndarray:
+    """Values of a Function, NaN where one depends on anything free."""
+    values = np.array(function(*map(np.nan_to_num, given[: function.n_in()]))).ravel()
+    return np.where(depends_on_free(function, given), np.nan, values)
+
+
 def too_many(name: str, uses: np.ndarray, free: np.ndarray) -> Iterator[str]:
     """Say that values (k,), which use entries (k, n), are more than the free ones (n,) of these can meet."""
     rank, values = ca.sprank(ca.sparsify(ca.DM((uses & free).astype(float)))), int(np.count_nonzero(free))

@@ -8,8 +8,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.numbers import numbers
 from casadi_galerkin.problems import statements
-from casadi_galerkin.problems.constrained_ends import constraint_at_ends, impossible_constraint, leaving_velocity
-from casadi_galerkin.problems.constrained_motion import tangent_momenta
+from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint, tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.problems.statements import Statement, optional, plain
@@ -62,7 +61,12 @@ class InitialProblem(Problem):
     force: statements.FunctionOrNone = statements.function("t x v", "x")
     constraint: statements.FunctionOrNone = statements.function("t x", "any")
     breakpoints = ()  # which other problems have
-    rules, rules_of_values = (impossible_constraint,), (constraint_at_ends, leaving_velocity, _stateless)
+    rules, rules_of_values = (impossible_constraint,), (constraint_at_ends, _stateless)
+
+    @property
+    def start_velocity(self) -> tuple[float | None, ...]:
+        """The velocity at the start, None where nothing is given."""
+        return self.velocity or (None,) * self.dimension
 
     @property
     def start_state(self) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.bounds import FEASIBLE, Limit, Limited, bounds
 from casadi_galerkin.problems.callables import Traceable, of_zeros, trace
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.expressions import entries_of, rows_that_depend
+from casadi_galerkin.problems.expressions import entries_of, values_given
 from casadi_galerkin.problems.problem import ENDS, with_values
 from casadi_galerkin.problems.statements import is_limited, jump, lengths, read_limited
 
@@ -309,27 +309,21 @@ def _link(phases: Sequence[ControlProblem], k: int, link: Link) -> ca.Function |
 
 def _checked(phases: Sequence[ControlProblem], joins: Joins) -> Joins:
     """What joins phases, without the rows that given values fulfil; refuses rows that depend on nothing else."""
-    values, moving, (g, low, high) = list[np.ndarray](), phases[0].initial_time_bounds is not None, joins.conditions
+    values, moving, (g, low, high) = list[np.ndarray](), False, joins.conditions
     for k, phase in enumerate(phases):
-        d, moved = phase.dimension, moving
-        moving |= phase.duration_bounds is not None
-        p = phase.parameters or ()
-        begin, end = [None if moved else phase.t_span[0]], [None if moving else phase.t_span[1]]
-        given = p if phase.parameter_bounds is None else [None] * len(p)
-        flat = begin, phase.start, phase.start_velocity, end, phase.end, phase.end_velocity, given
-        values += [np.array(value, dtype=float) for value in flat]
+        (t0, x0, v0, p), (t1, x1, v1, _) = phase.given_at_ends.values()
+        begin, moving = np.where(moving, np.nan, t0), moving or bool(np.isnan(t1))
+        values += [begin, x0, v0, np.where(moving, np.nan, t1), x1, v1, p]
         for function in (g, joins.cost):
             uses = [] if function is None else [entries_of(function, 7 * k + i) for i in (2, 5)]
-            for i in sorted(set().union(*uses) & set(range(phase.mechanical, d))):
+            for i in sorted(set().union(*uses) & set(range(phase.mechanical, phase.dimension))):
                 raise ValueError(
                     f"what joins phases depends on v[{i}] of phase {k}, the rate of x[{i}]: write that rate instead, "
                     "or give a law (x, v) -> (x, v) as link"
                 )
-    found = np.array(g(*map(np.nan_to_num, values))).ravel()
-    free = np.any([rows_that_depend(g, k, np.isnan(a)) for k, a in enumerate(values)], axis=0)
+    found, sides = values_given(g, values), np.array([low, high])
     names = [join.words.format(i) for join in joins.each for i in range(join.rows)]
-    sides = np.array([low, high])
-    for i in np.flatnonzero(~free).tolist():
+    for i in np.flatnonzero(~np.isnan(found)).tolist():
         if "condition" in names[i]:
             raise ValueError(f"{names[i]} depends on nothing that is free: it is {found[i]}, whatever the path")
         if abs(found[i]) > FEASIBLE:

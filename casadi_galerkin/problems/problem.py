@@ -84,6 +84,16 @@ class Problem:
         return self.dimension
 
     @property
+    def given_at_ends(self) -> dict[str, tuple[np.ndarray, ...]]:
+        """Time, position, velocity and parameters at the start, and at the end if there is one; NaN where free."""
+        ends = {}
+        for t, name in zip(self.t_span, ENDS, strict=True):
+            if hasattr(self, name):
+                values = t, getattr(self, name), getattr(self, f"{name}_velocity"), self.parameters or ()
+                ends[name] = tuple(np.array(value, dtype=float) for value in values)
+        return ends
+
+    @property
     def numeric(self: Stated) -> Stated:
         """The problem with the values of its parameters put into its callables, which no longer take any."""
         if self.parameters is None:
