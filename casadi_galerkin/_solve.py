@@ -559,7 +559,8 @@ def sensitivity(path: Trajectory) -> Sensitivity | ControlSensitivity:
     0.25
     """
     if isinstance(path, ControlTrajectory):
-        derivatives: ControlSensitivity = path.find_sensitivity(path)
+        path._ask_whole("derivatives")
+        derivatives: ControlSensitivity = path.variations.sensitivity(path)
         return derivatives
     if not isinstance(path, Trajectory):
         raise TypeError(f"sensitivity takes a Trajectory, got {type(path).__name__}")

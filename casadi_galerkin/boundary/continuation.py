@@ -245,8 +245,8 @@ class BranchFollower(Curve[PathPoint]):
         self._expected = np.where(size > ACCURACY * change, size, change)  # the rate may be zero, or large near a fold
         point = self.point(z, np.append(follow, 1.0), start)
         assert point.trajectory is not None
-        if unresolved := point.trajectory._unresolved(UNRESOLVED_FOLDS):
-            words = f"the first path of the branch is {''.join(unresolved).strip()}"
+        if unresolved := list(point.trajectory._unresolved(UNRESOLVED_FOLDS)):
+            words = f"the first path of the branch is {' '.join(*unresolved)}"
             raise ConvergenceError(words, point.trajectory)
         return point
 
@@ -344,8 +344,8 @@ class BranchFollower(Curve[PathPoint]):
         self.weigh(first.z)
         for point in self.walk(first, FIRST_BRANCH_STEP, BRANCH_STEPS):
             assert point.trajectory is not None
-            if unresolved := point.trajectory._unresolved(UNRESOLVED_FOLDS):
-                stopped = f"the next one, at {self.parameters(point.z)}, is {''.join(unresolved).strip()}"
+            if unresolved := list(point.trajectory._unresolved(UNRESOLVED_FOLDS)):
+                stopped = f"the next one, at {self.parameters(point.z)}, is {' '.join(*unresolved)}"
                 break
             if point.missed:
                 missed.append(len(points))

@@ -169,11 +169,8 @@ class Transcription(BoundaryGraph):
             solve_seconds=solve_seconds,
             method=self.method,
             problem=problem,
-            find_index=variations.negative,
-            find_regularity=variations.smallest,
-            find_difference=variations.difference,
+            variations=variations,
             find_finer=variations.finer,
-            find_rounding=variations.rounding,
             integral_multipliers=point.integral_multipliers,
         )
 

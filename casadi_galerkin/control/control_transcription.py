@@ -281,7 +281,6 @@ class ControlTranscription:
             violation = float(np.max(relative))
             if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
                 raise explained(phases, name, numbers, optimum, report.cost, relative, paths)
-            second_order = SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, self.graph)
             return answer(
                 problem,
                 phases,
@@ -290,7 +289,7 @@ class ControlTranscription:
                 report,
                 values,
                 paths,
-                second_order,
+                variations=SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, self.graph),
                 iterations=optimum.iterations,
                 residual=violation / EPS,
                 violation=violation,
@@ -298,7 +297,6 @@ class ControlTranscription:
                 build_seconds=self.build_seconds,
                 solve_seconds=time.perf_counter() - began - self.build_seconds,
                 method=self.method,
-                find_index=second_order.negative,
                 find_comparisons=partial(comparisons, solver),
             )
 

@@ -105,6 +105,13 @@ class SecondOrder:
         matrix, _ = self._second_variation()
         return negative_pivots(matrix, factors_of(matrix.sparsity()))
 
+    def smallest(self) -> None:
+        """No relative size of the second variation: see `Trajectory.regularity`."""
+
+    def rounding(self) -> float:
+        """Relative roundoff error of the path, whose values are unknowns."""
+        return EPS
+
     def downwards(self) -> np.ndarray:
         """Unknowns that are moved from a saddle to where the cost is less, by the size of the path, within bounds.
 

@@ -6,6 +6,7 @@ what estimates of errors measure.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import accumulate
 from operator import mul
 
@@ -48,7 +49,7 @@ class ControlPath:
     points : (k,), points of the values in the reference interval: the quadrature points, or one for held controls
     values : (n, N k), controls at these points in the order of time
     rule : (r,), quadrature points of the reference interval
-    bounds : (lo, hi), n numbers each; multipliers have none
+    bounds : (lo, hi), n numbers each, or (n, N); multipliers have none
 
     Examples
     --------
@@ -70,7 +71,8 @@ class ControlPath:
         rule: np.ndarray,
         bounds: ArrayLike = (-np.inf, np.inf),
     ) -> None:
-        sides = np.stack([np.broadcast_to(side, len(values)) for side in np.asarray(bounds)])
+        intervals = [np.reshape(side, (np.size(side), 1)) if np.ndim(side) < 2 else side for side in np.asarray(bounds)]
+        sides = np.stack([np.broadcast_to(side, (len(values), len(mesh) - 1)) for side in intervals])
         arrays = mesh, points, values, rule, sides
         self.mesh, self.points, self.values, self.rule, self.bounds = map(read_only, arrays)
 
@@ -83,7 +85,7 @@ class ControlPath:
         basis = lagrange_values(self.points, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
         s = (flat - self.mesh[i]) / steps[i]
         values = np.einsum("nkj,kj->nk", self._local[:, i], basis) + self._bumps[:, i] * self._bump(s)
-        return np.clip(values, *self.bounds[:, :, None]).reshape((len(self.values), *times.shape))
+        return np.clip(values, *self.bounds[:, :, i]).reshape((len(self.values), *times.shape))
 
     def __repr__(self) -> str:
         """State the numbers of components, points and intervals."""
@@ -101,8 +103,7 @@ class ControlPath:
     def at(self, s: np.ndarray) -> np.ndarray:
         """Controls at fractions s (K,) of every interval, by its own polynomial, joints included; (n, N K)."""
         values = self._local @ lagrange_values(self.points, s).T + self._bumps[:, :, None] * self._bump(s)
-        values = values.reshape(len(self.values), (len(self.mesh) - 1) * len(s))
-        return np.clip(values, *self.bounds[:, :, None])
+        return np.clip(values, *self.bounds[..., None]).reshape(len(self.values), (len(self.mesh) - 1) * len(s))
 
     def _bump(self, s: np.ndarray) -> np.ndarray:
         """A polynomial of fractions s that is zero at the points, and positive elsewhere."""
@@ -116,7 +117,7 @@ class ControlPath:
         """
         points, weights = finer_rule(len(self.points))
         u, bump = self._local @ lagrange_values(self.points, points).T, self._bump(points) + TINY
-        room, bumps = (self.bounds[:, :, None, None] - u) / bump, np.zeros(u.shape[:2])
+        room, bumps = (self.bounds[..., None] - u) / bump, np.zeros(u.shape[:2])
         share = weights * bump
         for k, i in np.argwhere(np.any((room[0] > 0) | (room[1] < 0), axis=2)):
             low, high = room[:, k, i]
@@ -143,7 +144,7 @@ class ControlPath:
         changes = self._changes.tolist()
 
         def switched(values: np.ndarray) -> ca.SX:
-            return ca.pw_const(t, changes, values.tolist())
+            return ca.SX(values[0]) if np.all(values == values[0]) else ca.pw_const(t, changes, values.tolist())
 
         s = (t - switched(self.mesh[:-1])) / switched(np.diff(self.mesh))
         gaps = [s - point for point in self.points.tolist()]
@@ -151,5 +152,20 @@ class ControlPath:
         basis = barycentric_weights(self.points) * ca.vertcat(*map(mul, before, reversed(after)))
         u = ca.vertcat(*(ca.dot(ca.vertcat(*map(switched, rows.T)), basis) for rows in self._local)) / ca.sum1(basis)
         u += ca.vertcat(*map(switched, self._bumps)) * ca.sumsqr(before[-1] * gaps[-1])
-        low, high = map(ca.DM, self.bounds)
+        low, high = (ca.vertcat(*map(switched, side)) for side in self.bounds)
         return ca.fmin(ca.fmax(u, low), high)
+
+
+def side_by_side(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrays (rows, columns, ...) one after the other; rows that some have not are NaN."""
+    rows = max(map(len, arrays))
+    return np.concatenate([np.concatenate((a, np.full((rows - len(a), *a.shape[1:]), np.nan))) for a in arrays], axis=1)
+
+
+def joined_controls(parts: Sequence[ControlPath]) -> ControlPath:
+    """Controls, or multipliers, of several phases as one function of time; what some have not is NaN."""
+    points, rule = max((part.points for part in parts), key=len), parts[0].rule
+    mesh = np.append(np.concatenate([part.mesh[:-1] for part in parts]), parts[-1].mesh[-1])
+    values = [part.values if len(part.points) == len(points) else part.at(points) for part in parts]  # held ones
+    bounds = np.stack([side_by_side([part.bounds[k] for part in parts]) for k in (0, 1)])
+    return ControlPath(mesh, points, side_by_side(values), rule, bounds)

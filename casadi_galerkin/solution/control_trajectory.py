@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import casadi as ca
@@ -12,18 +13,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.numbers import counted, spanned
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.solution.control_path import ControlPath
+from casadi_galerkin.solution.control_path import ControlPath, side_by_side
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.path import of_parts
 from casadi_galerkin.solution.plotting import draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.quantity import Quantity
-from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
+from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Answer, Lines, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class Comparisons:
 
     Attributes
     ----------
-    finer : the others
+    finer : the others, where they are paths of one problem
     errors : relative errors of the cost, and of all
     unseen : relative error that all of these have in common
     """
@@ -74,7 +75,180 @@ class Comparisons:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
-class ControlTrajectory(Trajectory):
+class OptimalPath(Answer):
+    """A path with controls, costs and multipliers: what the answers of all optimizations have.
+
+    Attributes
+    ----------
+    cost, cost_size, cost_error, control, costate, path_multipliers, duals, violation : as of a `ControlTrajectory`
+    parts : the paths of the phases, if there are several
+    number : of this phase, if it is one of several
+    """
+
+    _left: ClassVar = "violation {0.violation:.1e}"
+
+    cost: float
+    cost_size: float
+    control: ControlPath
+    costate: PiecewisePolynomial
+    duals: tuple[np.ndarray, np.ndarray]
+    violation: float
+    find_comparisons: Callable[[Any], Comparisons]
+    path_multipliers: ControlPath | None = None
+    cost_error: float | None = None
+    parts: tuple[ControlTrajectory, ...] = ()
+    number: int | None = None
+
+    def _ask_whole(self, what: str) -> None:
+        """Refuse what one of several phases does not know."""
+        if self.number is not None:
+            raise ValueError(f"a phase has no {what} of its own: ask the whole path")
+
+    def estimate_error(self) -> float:
+        """Estimate the relative error of x, and that of the cost; kept as `error_estimate` and `cost_error`.
+
+        The path is compared with two of a higher degree, on the same mesh and on an interlaced one: the errors are
+        twice the larger differences, and at least what positions exceed their bounds by between the points, and the
+        remaining solver error.  They are infinite where one of the two is not found.  With `hold` they are those of the
+        motion under controls that are held on these intervals.
+        """
+        if self.error_estimate is None:
+            try:
+                errors = self._comparisons.errors
+            except ConvergenceError:
+                errors = math.inf, math.inf
+            self.__dict__.update(zip(("cost_error", "error_estimate"), errors, strict=True))  # the class is frozen
+        assert self.error_estimate is not None
+        return self.error_estimate
+
+    @cached_property
+    def _comparisons(self) -> Comparisons:
+        self._ask_whole("errors")
+        return self.find_comparisons(self)
+
+    @property
+    def phases(self) -> tuple[Any, ...]:
+        """The paths of the phases into which the problem is parted, or this one alone."""
+        return self.parts or (self,)
+
+    def path_constraints(self, parts: np.ndarray) -> np.ndarray:
+        """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
+        return side_by_side([phase.between_points.path_constraints(parts) for phase in self.phases])
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """What `load` makes path and controls of."""
+        return super()._arrays() | of_parts(
+            "control", vars(self.control), ("mesh", "points", "values", "rule", "bounds")
+        )
+
+    def plot(
+        self,
+        axes: Axes | None = None,
+        labels: Sequence[str] | None = None,
+        time: str = "t",
+        control_labels: Sequence[str] | None = None,
+        costate_labels: Sequence[str] | None = None,
+    ) -> Axes:
+        """Draw positions, controls, path constraints and the costate, one above the other.
+
+        Bounds are dashed lines, and breakpoints, such as the times at which phases begin, gray ones.
+
+        Parameters
+        ----------
+        axes : Matplotlib axes for the positions; all else is then left out
+        labels : d names of the positions with units
+        time : name of the time with its unit
+        control_labels : n names of the controls with units
+        costate_labels : d names of the costate with units: those of the cost over those of the momenta
+
+        Returns
+        -------
+        the Matplotlib axes of the positions
+        """
+        if axes is not None:
+            return super().plot(axes, labels, time)
+        controlled, limited = bool(len(self.control.values)), self.path_multipliers is not None
+        drawn = panels(2 + controlled + limited, sharex=True)
+        top = super().plot(drawn[0], labels, "")
+        self._draw_bounds(top, lambda problem: problem.position_bounds)
+        if controlled:
+            self.plot_controls(drawn[1], control_labels, "")
+        if limited:
+            self.plot_constraints(drawn[-2], time="")
+        line, at_joints = self.costate.line(self.fine_times), (self.t, self.costate(self.t))
+        plot_path(line, at_joints, drawn[-1], costate_labels, time, "λ")
+        for panel, when in product(drawn, self.problem.breakpoints):
+            panel.axvline(when, color="0.6", linewidth=0.8)
+        top.set_title(self._title())
+        return top
+
+    def plot_controls(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
+        """Draw the controls with their bounds; returns the Matplotlib axes.
+
+        Parameters
+        ----------
+        axes : Matplotlib axes to draw into; default a new figure
+        labels : n names of the controls with units
+        time : name of the time with its unit
+
+        Raises
+        ------
+        ValueError
+            where there are no controls
+        """
+        if not len(self.control.values):
+            raise ValueError("there are no controls to draw")
+        points = self.control.times, self.control.values
+        drawn = plot_path(self._broken(self.control.at(ALONG)), points, axes, labels, time, "u")
+        self._draw_bounds(drawn, lambda problem: problem.control_bounds)
+        return drawn
+
+    def plot_constraints(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
+        """Draw the path constraints with their bounds, and their multipliers dotted; returns the Matplotlib axes.
+
+        Parameters
+        ----------
+        axes : Matplotlib axes to draw into; default a new figure
+        labels : names of the path constraints with units
+        time : name of the time with its unit
+
+        Raises
+        ------
+        ValueError
+            where there is no path constraint
+        """
+        if self.path_multipliers is None:
+            raise ValueError("there is no path constraint to draw")
+        times, values = self.path_multipliers.times, self.path_constraints(self.path_multipliers.points)
+        line, points = self._broken(self.path_constraints(ALONG)), (times, values.reshape(len(values), -1))
+        drawn = plot_path(line, points, axes, labels, time, "g")
+        self._draw_bounds(drawn, lambda problem: problem.limits[1:])
+        draw_multipliers(drawn, times, self.path_multipliers.values)
+        return drawn
+
+    def _draw_bounds(self, axes: Axes, of: Callable[[ControlProblem], Any]) -> None:
+        """Add the bounds that the problem of each phase states, as long as it lasts."""
+        for phase in self.phases:
+            draw_bounds(axes, np.array(of(phase.problem)), phase.t[[0, -1]])
+
+    def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Times (K,) and values (n, K) of lines at `ALONG`, broken at the joints, where they may jump."""
+        times = times_at(self.t, ALONG).reshape(-1, len(ALONG))
+        values = lines.reshape(len(lines), *times.shape)
+        parted = [np.append(a, np.full_like(a[..., :1], np.nan), axis=-1) for a in (times, values)]
+        return parted[0].ravel(), parted[1].reshape(len(lines), -1)
+
+    def _title(self) -> str:
+        return f"Degree {self.method.degree} on {counted(len(self.t) - 1, 'interval')}: cost {self.cost:.6g}"
+
+    def _errors(self) -> str:
+        """The known errors of cost and path."""
+        known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
+        return ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class ControlTrajectory(OptimalPath, Trajectory):
     """An optimal path of a controlled system: a `Trajectory` with its controls, costs and multipliers.
 
     Attributes
@@ -134,52 +308,14 @@ class ControlTrajectory(Trajectory):
     comparison_factor: ClassVar = 2.0  # on 44 paths with bends, touches and switches no error was above twice these
 
     problem: ControlProblem
-    cost: float
-    cost_size: float
-    control: ControlPath
-    costate: PiecewisePolynomial
-    path_multipliers: ControlPath | None
-    duals: tuple[np.ndarray, np.ndarray]
     hamiltonian: np.ndarray
-    violation: float
     start_velocity: np.ndarray
     end_velocity: np.ndarray
-    find_remaining_error: Callable[[], RemainingError]
-    find_sensitivity: Callable[[ControlTrajectory], Any]
-    find_comparisons: Callable[[ControlTrajectory], Comparisons]
-    cost_error: float | None = None
-    parts: tuple[ControlTrajectory, ...] = ()
-
-    @property
-    def phases(self) -> tuple[ControlTrajectory, ...]:
-        """The paths of the phases into which the problem is parted, or this one alone."""
-        return self.parts or (self,)
 
     @cached_property
     def _remaining_error(self) -> RemainingError:
         """The remaining solver errors."""
-        return self.find_remaining_error()
-
-    def estimate_error(self) -> float:
-        """Estimate the relative error of x, and that of the cost; kept as `error_estimate` and `cost_error`.
-
-        The path is compared with two of a higher degree, on the same mesh and on an interlaced one: the errors are
-        twice the larger differences, and at least what positions exceed their bounds by between the points, and the
-        remaining solver error.  They are infinite where one of the two is not found.  With `hold` they are those of the
-        motion under controls that are held on these intervals.
-        """
-        if self.error_estimate is None:
-            try:
-                cost, path = self._comparisons.errors
-            except ConvergenceError:
-                cost, path = math.inf, math.inf
-            self.__dict__.update(cost_error=cost, error_estimate=path)  # the class is frozen
-        assert self.error_estimate is not None
-        return self.error_estimate
-
-    @cached_property
-    def _comparisons(self) -> Comparisons:
-        return self.find_comparisons(self)
+        return self.variations.remaining_error(self.number)
 
     @property
     def _finer(self) -> tuple[Trajectory, ...]:
@@ -231,12 +367,6 @@ class ControlTrajectory(Trajectory):
             **by_component("control", self.control(columns["t"])),
             **by_component("costate", self.costate(columns["t"])),
         }
-
-    def _arrays(self) -> dict[str, np.ndarray]:
-        """What `load` makes path and controls of."""
-        return super()._arrays() | of_parts(
-            "control", vars(self.control), ("mesh", "points", "values", "rule", "bounds")
-        )
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.
@@ -307,10 +437,6 @@ class ControlTrajectory(Trajectory):
         """
         return self.between_points.control_misfit
 
-    def path_constraints(self, parts: np.ndarray) -> np.ndarray:
-        """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
-        return self.between_points.path_constraints(parts)
-
     @property
     def constraint_excess(self) -> np.ndarray:
         """Largest excess of path constraints and positions over their bounds between the points; (N,).
@@ -320,120 +446,30 @@ class ControlTrajectory(Trajectory):
         """
         return self.between_points.constraint_excess
 
-    def plot(
-        self,
-        axes: Axes | None = None,
-        labels: Sequence[str] | None = None,
-        time: str = "t",
-        control_labels: Sequence[str] | None = None,
-        costate_labels: Sequence[str] | None = None,
-    ) -> Axes:
-        """Draw positions, controls, path constraints and the costate, one above the other.
+    def _size(self) -> str:
+        controls = len(self.control.values)
+        return super()._size() + (f" and {counted(controls, 'control')}" if controls else "")
 
-        Bounds are dashed lines, and breakpoints, such as the switching times of phases, gray ones.
+    def _lines(self) -> Lines:
+        """What the summary says of the path."""
+        if len(self.control.values) or self.problem.costs:
+            if self.morse_index and not self._not_optimal:
+                directions = counted(self.morse_index, "direction")
+                tried = "" if "starts" in self.solver else ", several `starts`"
+                yield "SADDLE", f"no minimum: the cost decreases in {directions}; try a guess beside it{tried}"
+            yield "cost", f"{self.cost:.12g}, {self._kind()}"
+            yield "Hamiltonian", f"{self.hamiltonian[0]:.9g} at the start, {self._variation()}"
+        yield from self._asked()
+        yield from self._accuracy()
+        what = "momentum" if self.problem.mechanical else "value"
+        yield "defect", f"{self._worst(self.dynamics_defect)}, of the largest {what}"
+        if np.max(self.constraint_excess) > FEASIBLE:  # solvers leave as much
+            yield "excess", f"{self._worst(self.constraint_excess)}, of the path's size"
 
-        Parameters
-        ----------
-        axes : Matplotlib axes for the positions; all else is then left out
-        labels : d names of the positions with units
-        time : name of the time with its unit
-        control_labels : n names of the controls with units
-        costate_labels : d names of the costate with units: those of the cost over those of the momenta
-
-        Returns
-        -------
-        the Matplotlib axes of the positions
-        """
-        if axes is not None:
-            return super().plot(axes, labels, time)
-        controlled, limited = bool(len(self.control.values)), self.path_multipliers is not None
-        drawn = panels(2 + controlled + limited, sharex=True)
-        top = drawn[0]
-        super().plot(top, labels, "")
-        draw_bounds(top, np.array(self.problem.position_bounds))
-        if controlled:
-            self.plot_controls(drawn[1], control_labels, "")
-        if limited:
-            self.plot_constraints(drawn[-2], time="")
-        line, at_joints = self.costate.line(self.fine_times), (self.t, self.costate(self.t))
-        plot_path(line, at_joints, drawn[-1], costate_labels, time, "λ")
-        for panel in drawn:
-            for when in self.problem.breakpoints:
-                panel.axvline(when, color="0.6", linewidth=0.8)
-        top.set_title(f"Degree {self.method.degree} on {counted(len(self.t) - 1, 'interval')}: cost {self.cost:.6g}")
-        return top
-
-    def plot_controls(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
-        """Draw the controls with their bounds; returns the Matplotlib axes.
-
-        Parameters
-        ----------
-        axes : Matplotlib axes to draw into; default a new figure
-        labels : n names of the controls with units
-        time : name of the time with its unit
-
-        Raises
-        ------
-        ValueError
-            where there are no controls
-        """
-        if not len(self.control.values):
-            raise ValueError("there are no controls to draw")
-        lines = self.control.at(ALONG).reshape(len(self.control.values), -1, len(ALONG))
-        points = self.control.times, self.control.values
-        drawn = plot_path(self._broken(lines), points, axes, labels, time, "u")
-        draw_bounds(drawn, np.array(self.problem.control_bounds))
-        return drawn
-
-    def plot_constraints(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
-        """Draw the path constraints with their bounds, and their multipliers dotted; returns the Matplotlib axes.
-
-        Parameters
-        ----------
-        axes : Matplotlib axes to draw into; default a new figure
-        labels : names of the path constraints with units
-        time : name of the time with its unit
-
-        Raises
-        ------
-        ValueError
-            where there is no path constraint
-        """
-        if self.path_multipliers is None:
-            raise ValueError("there is no path constraint to draw")
-        times, values = self.path_multipliers.times, self.path_constraints(self.path_multipliers.points)
-        line, points = self._broken(self.path_constraints(ALONG)), (times, values.reshape(len(values), -1))
-        drawn = plot_path(line, points, axes, labels, time, "g")
-        draw_bounds(drawn, np.array(self.problem.limits[1:]))
-        draw_multipliers(drawn, times, self.path_multipliers.values)
-        return drawn
-
-    def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Times (K,) and values (n, K) of lines (n, N, ...) at `ALONG`, broken at the joints, where they may jump."""
-        times = times_at(self.t, ALONG).reshape(-1, len(ALONG))
-        parted = [np.append(a, np.full_like(a[..., :1], np.nan), axis=-1) for a in (times, lines)]
-        return parted[0].ravel(), parted[1].reshape(len(lines), -1)
-
-    def __repr__(self) -> str:
-        """Summarize path and solve in a few lines."""
-        size, n = counted(len(self.x), "component"), len(self.control.values)
-        controls = f" and {counted(n, 'control')}" if n else ""
-        optimum = [
-            f"  cost        {self.cost:.12g}, {self._kind()}",
-            f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, {self._variation()}",
-        ]
-        return "\n".join(
-            [
-                f"ControlTrajectory of {size}{controls} on {spanned(self.t)}, {counted(len(self.t) - 1, 'interval')}",
-                f"  method      {self.method}",
-                *(self._saddle() + optimum if n or self.problem.costs else []),
-                *self._asked(),
-                *self._accuracy(),
-                *self._between_points(),
-                f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, violation {self.violation:.1e}",
-                f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
-            ]
-        )
+    def _worst(self, values: np.ndarray) -> str:
+        """Largest of one value per interval, and its interval."""
+        i = int(np.argmax(values))
+        return f"{values[i]:.1e} between the points of [{self.t[i]:.4g}, {self.t[i + 1]:.4g}]"
 
     def _variation(self) -> str:
         """By how much the Hamiltonian varies, and whether it does so only because breakpoints have given times."""
@@ -449,77 +485,48 @@ class ControlTrajectory(Trajectory):
         """The Hamiltonian on the intervals between breakpoints, one array for each section."""
         return np.split(self.hamiltonian, np.searchsorted(self.t, self.problem.breakpoints))
 
-    def _accuracy(self) -> list[str]:
-        """A line on the errors of cost and path, if they are known, or that this mesh does not resolve the path."""
-        known = [(self.cost_error if self.problem.costs else None, "of the cost"), (self.error_estimate, "of the path")]
-        errors = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
-        if errors:
-            return [f"  error       {errors}, estimated"]
-        return self._undetermined() or self._stepping() or self._unresolved() or self._unflown() or self._unbalanced()
-
+    @property
     def _not_optimal(self) -> bool:
         """Whether further Newton steps would change the cost by more than a solver should leave."""
         return self.unseen_change > COST_CHANGE * self.cost_size
 
     def _kind(self) -> str:
         """The kind of critical point, in words; none where the solver has stopped before one."""
-        if not self._not_optimal():
+        if not self._not_optimal:
             return super()._kind()
         return "not yet optimal" if self.cost_error is None else "optimal but for the error below"
 
-    def _saddle(self) -> list[str]:
-        """A line on directions in which the cost decreases, and what to do about it."""
-        if self._not_optimal() or not self.morse_index:
-            return []
-        directions = counted(self.morse_index, "direction")
-        tried = "" if "starts" in self.solver else ", several `starts`"
-        return [f"  SADDLE      no minimum: the cost decreases in {directions}; try a guess beside it{tried}"]
+    def _errors(self) -> str:
+        """The known errors, of the cost only where there is one."""
+        return super()._errors() if self.problem.costs else Answer._errors(self)
 
-    def _undetermined(self) -> list[str]:
-        """Lines on large remaining solver errors in the cost, or in a path on which the cost hardly depends."""
-        lines = []
-        if self._not_optimal():
+    def _doubts(self) -> Lines:
+        """What the solver leaves of cost or path, what the mesh does not show between its points, and what varies."""
+        if self._not_optimal:
             words = f"the cost may still change by {self.unseen_change:.1e}; the solver's tolerances are absolute"
-            lines.append(f"  NOT DETERMINED: {words}")
+            yield "NOT DETERMINED:", words
         if self.solver_error > UNRESOLVED:
-            words = (
-                f"the remaining solver error of x is {self.solver_error:.0e} of its size; the cost hardly depends on it"
-            )
-            lines.append(f"  NOT DETERMINED: {words}")
-        return lines
-
-    def _unbalanced(self) -> list[str]:
-        """A line on a Hamiltonian that varies where it should not, as where the cost jumps at a value of a control."""
-        if not self.problem.costs:
-            return []  # it is rounding alone
-        fraction = self.hamiltonian_variation / self._costs
-        words = f"the Hamiltonian, which should be constant, varies by {fraction:.0e} of the cost; take more intervals"
-        return [f"  NOT RESOLVED: {words}"] if fraction > UNBALANCED else []
-
-    def _unflown(self) -> list[str]:
-        """A line on what the mesh does not resolve between its points: bounds, controls, a jump in time."""
-        jumps, finer = self.between_points.jump_effects / self._costs, "take more intervals, or give tol"
-        missed = {
-            "a callable jumps, by up to {:.0e} of the cost {}; name its time in breakpoints": jumps,
-            f"bounds are exceeded by {{:.0e}} of the path {{}}; {finer}": self.constraint_excess,
-            f"`control(t)` misses the motion by {{:.0e}} {{}}; {finer}": self.control_misfit,
-        }
-        lines = [self._line_if_above(values, UNRESOLVED, words) for words, values in missed.items()]
-        return next(filter(None, lines), [])
-
-    @property
-    def _costs(self) -> float:
-        """Size of the cost and of what forces cost."""
-        return max(self.cost_size, self.between_points.cost_of_forces, TINY)
-
-    def _stepping(self) -> list[str]:
-        """A line on a step of a callable that the solver has not seen."""
-        size, when = self.between_points.largest_step
-        return (
-            [f"  NOT RESOLVED: at t = {when:.6g} {STEP}"]
-            if size * np.ptp(self.t) > COST_CHANGE * self.cost_size
-            else []
-        )
+            words = f"is {self.solver_error:.0e} of its size; the cost hardly depends on it"
+            yield "NOT DETERMINED:", f"the remaining solver error of x {words}"
+        between, finer = self.between_points, "take more intervals, or give tol"
+        size, when = between.largest_step
+        if size * np.ptp(self.t) > COST_CHANGE * self.cost_size:
+            yield "NOT RESOLVED:", f"at t = {when:.6g} {STEP}"
+        yield from self._unresolved()
+        costs = max(self.cost_size, between.cost_of_forces, TINY)  # with what forces cost
+        for values, words in (
+            (
+                between.jump_effects / costs,
+                "a callable jumps, by up to {:.0e} of the cost {}; name its time in breakpoints",
+            ),
+            (self.constraint_excess, f"bounds are exceeded by {{:.0e}} of the path {{}}; {finer}"),
+            (self.control_misfit, f"`control(t)` misses the motion by {{:.0e}} {{}}; {finer}"),
+        ):
+            yield from self._above(values, UNRESOLVED, words)
+        fraction = self.hamiltonian_variation / costs
+        if fraction > UNBALANCED and self.problem.costs:  # without costs it is rounding alone
+            words = f"varies by {fraction:.0e} of the cost; take more intervals"
+            yield "NOT RESOLVED:", f"the Hamiltonian, which should be constant, {words}"
 
     @cached_property
     def hamiltonian_variation(self) -> float:
@@ -532,16 +539,3 @@ class ControlTrajectory(Trajectory):
     def _truncation_error(self) -> np.ndarray:
         """Truncation error, or the defect of the equations of motion between the points where that is smaller."""
         return np.minimum(super()._truncation_error, self.dynamics_defect)
-
-    def _between_points(self) -> list[str]:
-        """Lines on the residuals between the points: the defect, and the excess over bounds."""
-        what = "momentum" if self.problem.mechanical else "value"
-        lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest {what}"]
-        if np.max(self.constraint_excess) > FEASIBLE:  # solvers leave as much
-            lines.append(f"  excess      {self._worst(self.constraint_excess)}, of the path's size")
-        return lines
-
-    def _worst(self, values: np.ndarray) -> str:
-        """Largest of one value per interval, and its interval."""
-        i = int(np.argmax(values))
-        return f"{values[i]:.1e} between the points of [{self.t[i]:.4g}, {self.t[i + 1]:.4g}]"

@@ -142,11 +142,11 @@ def component_names(name: str, count: int, labels: Sequence[str] | None) -> Sequ
     return given.tolist()
 
 
-def draw_bounds(axes: Axes, bounds: np.ndarray) -> None:
-    """Add the finite ones of bounds (2, n) as dashed lines, in the colors of the lines they are for."""
+def draw_bounds(axes: Axes, bounds: np.ndarray, span: np.ndarray) -> None:
+    """Add the finite ones of bounds (2, n) as dashed lines over a span (2,), in the colors of what they are for."""
     for i, pair in enumerate(bounds.T):
         for bound in pair[np.isfinite(pair)]:
-            axes.axhline(bound, color=COLORS[i % len(COLORS)], linestyle="--", linewidth=0.8)
+            axes.plot(span, [bound, bound], "--", color=COLORS[i % len(COLORS)], linewidth=0.8)
 
 
 def draw_multipliers(axes: Axes, times: np.ndarray, values: np.ndarray) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from itertools import islice
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -22,6 +23,7 @@ from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
+from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.error_indicators import error_indicators
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -34,7 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
 
-Answer = TypeVar("Answer", bound="Trajectory")
+Kind = TypeVar("Kind", bound="Answer")
+Lines: TypeAlias = Iterator[tuple[str, str]]  # names and words of lines of a summary
 
 UNBALANCED = 0.1  # relative violation of the balance of energy above which a path is reported as not resolved
 UNRESOLVED = 1e-3  # relative truncation error above which a path is reported as not resolved
@@ -45,8 +48,98 @@ def index_in_words(path: Trajectory) -> str:
     return "no Morse index" if path.morse_index is None else f"Morse index {path.morse_index}"
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class Trajectory(Path):
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class Answer(Path):
+    """A path with the report of its solve: what all answers have.
+
+    Attributes
+    ----------
+    iterations, residual, solver, build_seconds, solve_seconds, method, problem, error_estimate : as of a `Trajectory`
+    variations : what knows its second variation
+    """
+
+    _left: ClassVar = "residual {0.residual:.1g} times its roundoff floor"  # by the solver
+
+    iterations: int
+    residual: float
+    solver: str
+    build_seconds: float
+    solve_seconds: float
+    method: Galerkin
+    problem: Problem | Phases
+    variations: Any = None
+    error_estimate: float | None = None
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    def amended(self: Kind, **changes: Any) -> Kind:
+        """The same path with another report, and all that has been computed of it."""
+        path = replace(self, **changes)
+        path.__dict__.update((name, kept) for name, kept in vars(self).items() if name not in path.__dict__)
+        return path
+
+    @cached_property
+    def morse_index(self) -> int | None:
+        """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; computed when first used.
+
+        The Hessian is that of the action at this path, by variations of its degree.  Its integrals are taken by twice
+        as many Gauss points as that, whatever the quadrature of the method.
+
+        It is None for a path that was found step by step; under a force, and where the momentum of a given velocity
+        depends on more than that, because the path is then not a critical point of an action; where ∂²L/∂v² has a
+        negative eigenvalue at a joint, because the index then grows without bound as the mesh is refined; where ∂L/∂x
+        steps on the path, as that of |x| does, because no Hessian contains what that adds; and where a higher
+        degree on the same mesh gives another number, because this mesh, or any mesh, does not resolve the variations.
+        For an optimization it is that of the cost; see `ControlTrajectory`.
+        """
+        return None if self.variations is None else self.variations.negative()
+
+    def _kind(self) -> str:
+        """The kind of critical point, in words."""
+        return "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
+
+    def _size(self) -> str:
+        return counted(len(self.x), "component")
+
+    def _lines(self) -> Lines:
+        """What the summary says of the path."""
+        raise NotImplementedError
+
+    def _errors(self) -> str:
+        """The known errors, in words; empty where none is known."""
+        return "" if self.error_estimate is None else f"{self.error_estimate:.1e} of the path"
+
+    def _doubts(self) -> Lines:
+        """What this mesh does not resolve, or the solver has not determined, the most telling first."""
+        raise NotImplementedError
+
+    def _accuracy(self) -> Lines:
+        """A line on the known errors, or on the first doubt."""
+        known = self._errors()
+        return iter([("error", f"{known}, estimated")]) if known else islice(self._doubts(), 1)
+
+    def __repr__(self) -> str:
+        """Summarize path and solve in a few lines."""
+        lines = [
+            ("method", str(self.method)),
+            *self._lines(),
+            ("solver", f"{self.solver}, {counted(self.iterations, 'iteration')}, {self._left.format(self)}"),
+            ("seconds", f"{self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve"),
+        ]
+        intervals = counted(len(self.t) - 1, "interval")
+        return "\n".join(
+            [
+                f"{type(self).__name__} of {self._size()} on {spanned(self.t)}, {intervals}",
+                *(f"  {name:<11} {words}" for name, words in lines),
+            ]
+        )
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class Trajectory(Answer):
     """A critical point of the discrete action: ``path(t)`` is its position, ``path(t, 1)`` its derivative.
 
     Attributes
@@ -84,28 +177,12 @@ class Trajectory(Path):
 
     momentum: np.ndarray
     action: float
-    iterations: int
-    residual: float
-    solver: str
-    build_seconds: float
-    solve_seconds: float
-    method: Galerkin
     problem: Problem
-    error_estimate: float | None = None
-    find_index: Callable[[], int | None] | None = None
-    find_regularity: Callable[[], float | None] | None = None
     missed: float = 0.0  # what shooting misses the end by, relative to the size of the path
-    find_difference: Callable[[], float] | None = None  # relative, to a path of a higher degree, without finding it
     find_finer: Callable[[Trajectory], tuple[Trajectory, ...]] | None = None  # paths of a higher degree
-    find_rounding: Callable[[], float] | None = None  # relative roundoff error
     asked: np.ndarray | float | None = None
     asked_error: float | None = None
     integral_multipliers: np.ndarray = field(default_factory=lambda: np.empty(0))
-
-    def __post_init__(self) -> None:
-        for value in vars(self).values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
 
     def estimate_error(self) -> float:
         """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.
@@ -120,7 +197,7 @@ class Trajectory(Path):
         """
         if self.error_estimate is not None:
             return self.error_estimate
-        difference = self._difference() if self.find_difference is None else self.find_difference()
+        difference = self._difference() if self.variations is None else self.variations.difference()
         error = max(difference, self._least_error)
         self.__dict__["error_estimate"] = error  # the class is frozen
         return error
@@ -166,12 +243,6 @@ class Trajectory(Path):
         asked = value if value.ndim else value.item()
         return self.amended(asked=asked, asked_error=float(np.max(change)) / (size or 1.0))
 
-    def amended(self: Answer, **changes: Any) -> Answer:
-        """The same path with another report, and all that has been computed of it."""
-        path = replace(self, **changes)
-        path.__dict__.update((name, kept) for name, kept in vars(self).items() if name not in path.__dict__)
-        return path
-
     def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray, float]:
         """A quantity, its error as `error_of` has it, and its size."""
         check_quantity(of)
@@ -180,7 +251,7 @@ class Trajectory(Path):
         except ConvergenceError:
             value = quantity(of, self)
             return value, np.full(value.shape, np.inf), size_of(value)
-        rounding = EPS if self.find_rounding is None else min(self.find_rounding(), 1.0)
+        rounding = EPS if self.variations is None else min(self.variations.rounding(), 1.0)
         value, change = largest_difference(of, self, finer, rounding)
         size = size_of(value)
         return value, np.maximum(self.comparison_factor * change, self._unseen_error * size), size
@@ -221,22 +292,6 @@ class Trajectory(Path):
         return self.problem.with_multipliers(self.integral_multipliers.tolist())
 
     @cached_property
-    def morse_index(self) -> int | None:
-        """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; computed when first used.
-
-        The Hessian is that of the action at this path, by variations of its degree.  Its integrals are taken by twice
-        as many Gauss points as that, whatever the quadrature of the method.
-
-        It is None for a path that was found step by step; under a force, and where the momentum of a given velocity
-        depends on more than that, because the path is then not a critical point of an action; where ∂²L/∂v² has a
-        negative eigenvalue at a joint, because the index then grows without bound as the mesh is refined; where ∂L/∂x
-        steps on the path, as that of |x| does, because no Hessian contains what that adds; and where a higher
-        degree on the same mesh gives another number, because this mesh, or any mesh, does not resolve the variations.
-        For an optimization it is that of the cost; see `ControlTrajectory`.
-        """
-        return None if self.find_index is None else self.find_index()
-
-    @cached_property
     def regularity(self) -> float | None:
         """Smallest second variation relative to the sizes of its terms; computed when first used.
 
@@ -245,7 +300,7 @@ class Trajectory(Path):
         is None for a path that was found step by step, for one that was optimized, and where ∂L/∂x or the force steps
         on the path.
         """
-        return None if self.find_regularity is None else self.find_regularity()
+        return None if self.variations is None else self.variations.smallest()
 
     @property
     def parameters(self) -> tuple[float, ...] | None:
@@ -373,41 +428,35 @@ class Trajectory(Path):
         times = np.linspace(self.t[0], self.t[-1], whole_number("frames", frames, 2))
         return animate_linkage(times, self._places(points, times), duration / frames, axes, unit)
 
-    def _asked(self) -> list[str]:
-        """A line on the quantity that was asked for, if any."""
-        if self.asked is None:
-            return []
-        value = np.array2string(np.array(self.asked), precision=12, threshold=6, edgeitems=2).replace("\n", "")
-        return [f"  asked       {value}, error {self.asked_error:.1e} of its size, estimated"]
+    def _asked(self) -> Lines:
+        """The quantity that was asked for, if any."""
+        if self.asked is not None:
+            value = np.array2string(np.array(self.asked), precision=12, threshold=6, edgeitems=2).replace("\n", "")
+            yield "asked", f"{value}, error {self.asked_error:.1e} of its size, estimated"
 
-    def _accuracy(self) -> list[str]:
-        """Lines on the error of x, if it is known, and that this mesh does not resolve the path, if so."""
-        if self.error_estimate is None:
-            return self._unresolved() or self._unbalanced()
-        words = f"  error       {self.error_estimate:.1e}, estimated, relative to the size of each component"
-        return [words, *self._unresolved()]
+    def _doubts(self) -> Lines:
+        """A large truncation error, or violation of the balance of energy, as near a singularity."""
+        yield from self._unresolved()
+        yield from self._above(
+            self._indicators[0], UNBALANCED, "the balance of energy is missed by {:.0e} of its terms {}"
+        )
 
-    def _unresolved(self, limit: float = UNRESOLVED) -> list[str]:
-        """A line with the largest truncation error, if it is above a limit."""
+    def _unresolved(self, limit: float = UNRESOLVED) -> Lines:
+        """The largest truncation error, if it is above a limit, and where."""
         words = "about {:.0e} of x is left out {}; take more intervals or a higher degree"
-        return self._line_if_above(self._truncation_error, limit, words)
+        return self._above(self._truncation_error, limit, words)
 
     @property
     def _truncation_error(self) -> np.ndarray:
         """Truncation error on every interval, (N,), relative to the sizes of the components."""
         return truncation_error(self.polynomial)
 
-    def _unbalanced(self) -> list[str]:
-        """A line with the largest violation of the balance of energy, if it is large, as near a singularity."""
-        return self._line_if_above(
-            self._indicators[0], UNBALANCED, "the balance of energy is missed by {:.0e} of its terms {}"
-        )
-
-    def _line_if_above(self, values: np.ndarray, accepted: float, words: str) -> list[str]:
-        """A line with the largest of one value per interval, and its interval, if it is above the accepted one."""
+    def _above(self, values: np.ndarray, accepted: float, words: str) -> Lines:
+        """The largest of one value per interval, and its interval, if it is above the accepted one."""
         i = int(np.argmax(values))
-        where = "between t = {} and {}".format(*told_apart(self.t[i], self.t[i + 1]))
-        return [f"  NOT RESOLVED: {words.format(values[i], where)}"] if values[i] > accepted else []
+        if values[i] > accepted:
+            where = "between t = {} and {}".format(*told_apart(self.t[i], self.t[i + 1]))
+            yield "NOT RESOLVED:", words.format(values[i], where)
 
     @property
     def _lagrangian(self) -> ca.Function:
@@ -417,28 +466,18 @@ class Trajectory(Path):
     def _kind(self) -> str:
         """The kind of critical point, in words."""
         if self.morse_index is not None:
-            return "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
+            return super()._kind()
         masses = at_places(legendre_transform(self._lagrangian), self.t, self.x, self(self.t, 1))[1].T
         if np.all(np.linalg.eigvalsh(masses.reshape(-1, len(self.x), len(self.x))) < 0):
             return "no Morse index and no minimum: ∂²L/∂v² is negative; -L has the same paths, and an index"
         least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
         return f"no Morse index{least}"
 
-    def __repr__(self) -> str:
-        """Summarize path and solve in a few lines."""
+    def _lines(self) -> Lines:
+        """What the summary says of the path."""
         violation = float(np.max(self._indicators[0]))
         balance = f"{violation:.1e} of its terms" if violation > 0 else "rounding"
-        return "\n".join(
-            [
-                f"Trajectory of {counted(len(self.x), 'component')} on {spanned(self.t)}, "
-                f"{counted(len(self.t) - 1, 'interval')}",
-                f"  method      {self.method}",
-                f"  action      {self.action:.15g}, {self._kind()}",
-                f"  energy      {self.energy[0]:.12g} at the start, its balance kept to {balance}",
-                *self._asked(),
-                *self._accuracy(),
-                f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, "
-                f"residual {self.residual:.1g} times its roundoff floor",
-                f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
-            ]
-        )
+        yield "action", f"{self.action:.15g}, {self._kind()}"
+        yield "energy", f"{self.energy[0]:.12g} at the start, its balance kept to {balance}"
+        yield from self._asked()
+        yield from self._accuracy()

@@ -95,7 +95,12 @@ def test_a_component_goes_with_the_body_that_is_dropped():
     assert path(np.array([0.5, 1.5])).shape == (2, 2)
     np.testing.assert_array_equal(np.isnan(path(np.array([0.5, 1.5]))), [[False, False], [False, True]])
     np.testing.assert_allclose(path.before(1.0), [0.5, 1.0], rtol=0, atol=SOLVED)
-    assert path.plot(labels=["way", "other way"]).get_legend().get_texts()[1].get_text() == "other way"
+    top = path.plot(labels=["way", "other way"])
+    assert top.get_legend().get_texts()[1].get_text() == "other way"
+    assert [axes.get_ylabel() for axes in top.figure.axes] == ["", "u", "λ"]
+    joints, begins = top.lines[1], top.lines[-1]
+    np.testing.assert_array_equal(joints.get_xydata(), np.stack((path.t, path.x[0]), axis=1))
+    assert begins.get_xdata()[0] == path.phases[1].t[0]
     table = path.to_dict()
     assert list(table)[:4] == ["phase", "t", "x[0]", "x[1]"]
     for k, phase in enumerate(path.phases):
@@ -103,6 +108,10 @@ def test_a_component_goes_with_the_body_that_is_dropped():
         np.testing.assert_array_equal(np.array(table["velocity[0]"])[rows], phase.table()["velocity[0]"])
     assert np.all(np.isnan(np.array(table["x[1]"])[rows]))
     assert "<svg" in path._repr_html_()
+    at_times = path.to_dict([0.5, 1.0, 1.5])
+    assert at_times["phase"] == [0, 1, 1]
+    np.testing.assert_allclose(at_times["x[1]"], path([0.5, 1.0, 1.5])[1], rtol=1e-15)
+    assert path.to_dict([1.5])["phase"] == [1]
 
 
 def test_conditions_and_costs_join_phases():

@@ -53,7 +53,7 @@ def test_a_tolerance_of_a_quantity_is_met_by_the_quantity(exact, name, tol):
     assert path.asked_error <= tol
     assert np.array_equal(path.asked, of(path))
     assert f"error {path.asked_error:.1e} of its size" in repr(path)
-    assert f"{path.error_estimate:.1e}, estimated, relative to the size of each component" in repr(path)
+    assert f"error       {path.error_estimate:.1e} of the path, estimated" in repr(path)
 
 
 @pytest.mark.slow
