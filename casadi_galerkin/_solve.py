@@ -17,9 +17,8 @@ from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import check_verbose, counted, whole
-from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.control_refinement import ControlRefinement, first_control_discretization
-from casadi_galerkin.control.control_sensitivity import ControlSensitivity
+from casadi_galerkin.control.control_sensitivity import ControlSensitivity, control_function
 from casadi_galerkin.control.control_transcription import ControlTranscription, check_solver, transcribed_control
 from casadi_galerkin.control.starts import best_of
 from casadi_galerkin.functional.buffers import interrupts_raised
@@ -514,7 +513,9 @@ def solution_function(
     """
     check_types(problem, method, BoundaryProblem, ControlProblem)
     if isinstance(problem, ControlProblem):
-        return control_function(problem, method, intervals, mesh, guess, ipopt if solver is None else solver)
+        solver = ipopt if solver is None else solver
+        transcription = transcribed_control(problem, method, intervals, mesh)
+        return control_function(transcription, transcription.solve(guess=guess, solver=solver), solver)
     if solver is not None:
         raise ValueError(f"the Function of a BoundaryProblem runs CasADi's Newton method, got solver={solver!r}")
     return boundary_function(problem, method, intervals, mesh, guess)

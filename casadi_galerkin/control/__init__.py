@@ -7,7 +7,7 @@ nonlinear program of it, with its derivatives.  `program_bounds` has its bounds 
 solves it, and `continuous_controls` chooses among controls that act alike; `second_order` estimates how far from the
 optimum that may be and tells minima from saddles, and `failed_optimization` reports failures.  `control_transcription`
 combines all this and starts from a guess, which `initial_guess` reads; `control_answer` makes paths of what was found;
-`starts` tries other guesses, too.  `control_function` is the same as one CasADi Function.  `control_refinement` meets a
-tolerance by `two_comparisons`, and leaves `idle_breakpoints` out.
+`starts` tries other guesses, too.  `control_sensitivity` differentiates an optimum, and makes a CasADi Function of it.
+`control_refinement` meets a tolerance by `two_comparisons`, and leaves `idle_breakpoints` out.
 This folder imports all that stand before `boundary`, but neither `boundary` nor `stepping`.
 """
