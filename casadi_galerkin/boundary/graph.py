@@ -16,7 +16,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
-from casadi_galerkin.functional.boundary_terms import end_velocities, functional_of, given_values
+from casadi_galerkin.functional.boundary_terms import functional_of, given_values
 from casadi_galerkin.functional.buffers import fork_waits
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Data, joints_of
@@ -66,7 +66,6 @@ class BoundaryGraph:
         with fork_waits:
             self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
             self.stationarity = Stationarity(self.functional)
-            self._end_velocities = end_velocities(problem)
         self.numbering = self.functional.numbering
         self._mapping, self._others = mapping, dict[Galerkin, Any]()  # graphs of this class
 
@@ -261,18 +260,13 @@ class BoundaryGraph:
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
         """Unknowns ξ from node values (N m + 1, d); for those of a critical point they are nearly its unknowns.
 
-        Unknown velocities at the ends are those of the path there.  Multipliers are taken from least squares.
+        Multipliers are taken from least squares.
         """
-        numbering, count = self.numbering, sum(len(end.unknown) for end in self._end_velocities)
+        numbering = self.numbering
         unknowns = np.zeros(numbering.free)
         unknowns[: numbering.positions] = values.ravel()[numbering.place]
-        if count:
-            path, ends = self.emb(unknowns, data), zip((0, -1), self._end_velocities, strict=True)
-            velocities = np.concatenate([path(path.mesh[k], 1)[end.unknown] for k, end in ends])
-            unknowns[numbering.everywhere.start - count : numbering.everywhere.start] = velocities
-        if numbering.multipliers > count:
-            before, last = numbering.everywhere.start - count, numbering.positions + numbering.multipliers
-            multipliers = np.r_[numbering.positions : before, before + count : last]
+        if numbering.multipliers:
+            multipliers = np.arange(numbering.positions, numbering.positions + numbering.multipliers)
             with self.stationarity.linearization() as at:
                 found = at.least_squares(unknowns, data, multipliers, component_sizes(values.T))
             if np.all(np.isfinite(found)):

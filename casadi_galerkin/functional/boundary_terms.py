@@ -10,19 +10,12 @@ with multipliers μ and Λ_a.  Λ_a is an impulse, the multiplier λ of the cont
 The phase of a periodic path of given energy is fixed by the end condition n·(x_0 - c) = 0, that x_0 is in the plane
 through c with normal n.
 
-A given velocity gives the momentum ∂L/∂v of its component at that end.  If this momentum depends on given velocities
-only, the term is that of a given momentum.  If it also depends on velocities that are not given, these are further
-unknowns.  Each of them has one more equation, which says that ∂L/∂v of its component is the momentum there.  Where the
-position is not given, that is the momentum of the natural condition.  Where the position is given, it is the momentum
-of the path, -∂S/∂x_0 or ∂S/∂x_N.  The position is then an unknown, so that its row of ∇S states this, and the equation
-x = given is imposed on it (`given_unknowns` below).
+A given velocity gives the momentum ∂L/∂v of its component at that end, which depends on given velocities only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -32,38 +25,12 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap
-from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
+from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
-from casadi_galerkin.problems.legendre_transform import coupled_by_mass, momentum_at
-from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, is_given
-
-
-class EndVelocities(NamedTuple):
-    """The velocities at one end.
-
-    Attributes
-    ----------
-    given : components whose velocity is given
-    unknown : components whose velocity is not given, but on which the momentum of a given or unknown one depends
-    """
-
-    given: list[int]
-    unknown: list[int]
-
-
-@lru_cache(2 * CACHE_SIZE)
-def _at_end(lagrangian: ca.Function, given: tuple[bool, ...]) -> EndVelocities:
-    is_given = np.array(given)
-    reached = coupled_by_mass(lagrangian, is_given) if any(given) else is_given
-    return EndVelocities(*(np.flatnonzero(which).tolist() for which in (is_given, reached & ~is_given)))
-
-
-def end_velocities(problem: BoundaryProblem) -> list[EndVelocities]:
-    """The velocities at the start and at the end of a problem."""
-    stated = [tuple(value is not None for value in getattr(problem, f"{end}_velocity")) for end in ENDS]
-    return [_at_end(problem.with_multipliers().lagrangian, given) for given in stated]
+from casadi_galerkin.problems.legendre_transform import momentum_at
+from casadi_galerkin.problems.problem import END_MOTIONS, is_given
 
 
 def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: PointMap) -> Functional:
@@ -83,21 +50,15 @@ def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> n
     return np.array(values + ([] if problem.energy is None else [problem.energy]))
 
 
-def rows_of_ends(problem: BoundaryProblem, plane: np.ndarray | None) -> tuple[ca.Function, list[list[int]]]:
-    """(x_0, x_N, η) -> derivatives (2d + k,) of the terms of the ends by (x_0, x_N, η), with all given values inserted.
-
-    η (k,) are the multipliers and the unknown velocities.  Also returns the components at the start and at the end
-    whose given positions are imposed by equations (see the module).
-    """
-    statement, d, given = _Statement(problem), problem.dimension, given_values(problem, plane)
-    x, given_unknowns = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.given_unknowns
-    if statement.at_ends is None:
-        return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), given_unknowns
-    term = statement.at_ends[0]
-    positions = [problem.start[i] for i in given_unknowns[0]] + [problem.end[i] for i in given_unknowns[1]]
-    eta = ca.SX.sym("eta", term.size1_in(0) - 2 * d - len(positions))
-    rows = term(ca.vertcat(*x, eta, *positions), problem.t_span, problem.parameters or [], given)[1]
-    return ca.Function("rows", [*x, eta], [rows[: 2 * d + eta.numel()]]), given_unknowns
+def rows_of_ends(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Function:
+    """(x_0, x_N, η) -> derivatives (2d + k,) of the terms of the ends by these, with η the multipliers."""
+    d, at_ends, given = problem.dimension, _Statement(problem).at_ends, given_values(problem, plane)
+    x = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)]
+    if at_ends is None:
+        return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)])
+    eta = ca.SX.sym("eta", at_ends[0].size1_in(0) - 2 * d)
+    rows = at_ends[0](ca.vertcat(*x, eta), problem.t_span, problem.parameters or [], given)[1]
+    return ca.Function("rows", [*x, eta], [rows])
 
 
 class _Statement:
@@ -106,8 +67,6 @@ class _Statement:
     Attributes
     ----------
     fixed : components of the start and of the end whose positions are given
-    velocities : EndVelocities at the start and at the end
-    given_unknowns : components at the start and at the end whose given positions are unknowns, fixed by an equation
     at_ends : Function of the term of the ends, and whether its jacobian is symmetric; None where there is no such term
     """
 
@@ -116,9 +75,6 @@ class _Statement:
         self.fixed = [
             tuple(i for i, value in enumerate(side) if value is not None) for side in (problem.start, problem.end)
         ]
-        self.velocities = end_velocities(problem)
-        ends = zip(self.velocities, self.fixed, strict=True)
-        self.given_unknowns = [[i for i in velocities.unknown if i in fixed] for velocities, fixed in ends]
         self.at_ends = self._ends()
 
     @cached_property
@@ -136,13 +92,12 @@ class _Statement:
         d, free_duration = self.problem.dimension, self.problem.energy is not None
         constrained = self._constrained(intervals * method.degree).items()
         multipliers = sum(len(rows) * len(nodes) for rows, nodes in constrained)
-        multipliers += (
-            0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.given_unknowns))
-        )
+        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d
         integrals = len(self.problem.integral_values or ())
-        ends = self.fixed[0], self.fixed[1], tuple(self.given_unknowns[0]), tuple(self.given_unknowns[1])
         counts = multipliers + integrals, integrals
-        return Numbering(method, intervals, d, *ends, self.problem.periodic, *counts, free_duration)
+        return Numbering(
+            method, intervals, d, self.fixed[0], self.fixed[1], self.problem.periodic, *counts, free_duration
+        )
 
     def _constrained(self, last: int) -> dict[tuple[int, ...], list[int]]:
         """Constraints, and the numbers of the nodes, up to the last one, at which they are imposed, in groups.
@@ -172,9 +127,7 @@ class _Statement:
             terms.append(LocalTerm(self._constraint(rows), entries, _node_times(numbering, at), True))
         if self.at_ends is not None:
             function, symmetric = self.at_ends
-            ends = zip(numbering.of_ends, self.given_unknowns, strict=True)
-            given = [numbering.free + numbers[given_unknowns] for numbers, given_unknowns in ends]
-            entries = np.concatenate((*numbering.of_nodes[[0, -1]], multipliers, *given))[:, None]
+            entries = np.concatenate((*numbering.of_nodes[[0, -1]], multipliers))[:, None]
             terms.append(LocalTerm(function, entries, _node_times(numbering, np.array([0, last])), symmetric))
         return tuple(terms)
 
@@ -200,52 +153,35 @@ class _Statement:
     def _ends(self) -> tuple[ca.Function, bool] | None:
         """The Function of the ends, and whether its jacobian is symmetric; None where no term states anything of them.
 
-        Its y are x_0 and x_N, the multipliers μ of the end conditions, the unknown velocities at the start and at the
-        end, and the given values of the positions that are imposed.  Its rows are, in this order, the derivatives by
-        x_0 and x_N, the end conditions, the equations of the unknown velocities, and zeros for the given values.
+        Its y are x_0 and x_N and the multipliers μ of the end conditions.
         """
         problem, d = self.problem, self.problem.dimension
         names = (*END_MOTIONS, "end_action", "end_conditions")
         if not (problem.free_phase or any(is_given(getattr(problem, name)) for name in names)):
             return None
         x, t, stated = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2), self._stated_motions()
-        positions = ca.vertcat(*x)
+        positions, conditions, symmetric = ca.vertcat(*x), ca.SX(0, 1), True
         action = ca.SX(0) if problem.end_action is None else self._called(problem.end_action, *x)
         work = ca.dot(stated["start_momentum"], x[0]) - ca.dot(stated["end_momentum"], x[1])
-        rows, unknowns = ca.densify(ca.gradient(action + work, positions)), []
-        further = ca.SX(0, 1)
         if problem.end_conditions is not None:
-            further = self._called(problem.end_conditions, *x)
+            conditions = self._called(problem.end_conditions, *x)
         elif problem.free_phase:
-            further = ca.dot(self.given[:d], x[0] - self.given[d : 2 * d])
-        if further.numel():
-            multipliers = ca.SX.sym("multipliers", further.numel())
-            unknowns.append(multipliers)
-            rows += ca.jtimes(further, positions, multipliers, True)
-        symmetric = True
-        given_positions: list[ca.SX] = []
-        for k, (end, given_unknowns) in enumerate(zip(self.velocities, self.given_unknowns, strict=True)):
-            given, unknown = end.given, end.unknown
-            velocities, positions_here = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(given_unknowns))
-            v = stated[END_MOTIONS[k]]
-            v[unknown] = velocities
-            at = [t[k], x[k], v, self.parameters][: self.total.lagrangian.n_in()]
+            conditions = ca.dot(self.given[:d], x[0] - self.given[d : 2 * d])
+        multipliers = ca.SX.sym("multipliers", conditions.numel())
+        rows = ca.densify(ca.gradient(action + work + ca.dot(multipliers, conditions), positions))
+        for k, name in enumerate(END_MOTIONS[:2]):
+            given = [i for i, value in enumerate(getattr(problem, name)) if value is not None]
+            at = [t[k], x[k], stated[name], self.parameters][: self.total.lagrangian.n_in()]
             momentum = (-1) ** k * momentum_at(self.total.lagrangian, *at)
-            natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in given_unknowns]
-            further = ca.vertcat(
-                further, *natural, *(x[k][i] - positions_here[j] for j, i in enumerate(given_unknowns))
-            )
-            for i in (*given, *given_unknowns):
+            for i in given:
                 rows[k * d + i] = momentum[i]
-            unknowns, given_positions = [*unknowns, velocities], [*given_positions, positions_here]
-            multipliers = self.parameters[len(problem.parameters or ()) :]
-            if unknown or ca.jacobian(momentum[given], ca.vertcat(positions, multipliers)).nnz():
+            of_integrals = self.parameters[len(problem.parameters or ()) :]
+            if ca.jacobian(momentum[given], ca.vertcat(positions, of_integrals)).nnz():
                 symmetric = False
             else:
                 work += sum(momentum[i] * x[k][i] for i in given)
-        rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.given_unknowns))))
-        added = ca.vertcat(action, work)
-        return self._function("ends", ca.vertcat(positions, *unknowns, *given_positions), t, added, rows), symmetric
+        y = ca.vertcat(positions, multipliers)
+        return self._function("ends", y, t, ca.vertcat(action, work), ca.vertcat(rows, conditions)), symmetric
 
     def _stated_motions(self) -> dict[str, ca.SX]:
         """The velocities and momenta given at the ends by name, (d,) each; zero where none is given."""

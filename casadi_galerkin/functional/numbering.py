@@ -29,7 +29,6 @@ class Numbering:
     intervals : int, N
     dimension : int, d
     fixed_start, fixed_end : indices of the components that are given at the ends
-    given_unknowns_start, given_unknowns_end : those of them that stay unknowns, which an equation of a term fixes
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
     integrals : int, those of them that are multipliers of given integrals
@@ -42,8 +41,6 @@ class Numbering:
     dimension: int
     fixed_start: tuple[int, ...]
     fixed_end: tuple[int, ...]
-    given_unknowns_start: tuple[int, ...]
-    given_unknowns_end: tuple[int, ...]
     periodic: bool
     multipliers: int
     integrals: int
@@ -65,7 +62,6 @@ class Numbering:
         nodes = np.zeros((self.intervals * self.method.degree + 1, self.dimension), dtype=np.int64)
         given = np.zeros(nodes.shape, dtype=bool)
         given[[0, -1]] = self.of_ends >= 0
-        given[0, list(self.given_unknowns_start)] = given[-1, list(self.given_unknowns_end)] = False
         free = ~given[: self.distinct]
         nodes[: self.distinct][free] = np.arange(self.positions)
         nodes[[0, -1]] = np.where(given[[0, -1]], self.free + self.of_ends, nodes[[0, -1]])
@@ -78,7 +74,7 @@ class Numbering:
         """Component of the path to which every entry of u belongs, 0 for those that are no values of it; (size,)."""
         component = np.zeros(self.size, dtype=np.int64)
         component[self.of_nodes] = np.arange(self.dimension)
-        component[self.free :] = self.fixed_start + self.fixed_end  # also of given ends that no node has
+        component[self.free :] = self.fixed_start + self.fixed_end
         return component
 
     @cached_property
@@ -94,8 +90,7 @@ class Numbering:
     @cached_property
     def positions(self) -> int:
         """Number of free values of the path."""
-        given_unknowns = len(self.given_unknowns_start) + len(self.given_unknowns_end)
-        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end) + given_unknowns
+        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end)
 
     @cached_property
     def free(self) -> int:

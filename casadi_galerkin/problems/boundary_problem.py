@@ -22,7 +22,7 @@ from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.callables import depends_on_time, with_multipliers
 from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.expressions import pattern, too_many
-from casadi_galerkin.problems.legendre_transform import singular_mass
+from casadi_galerkin.problems.legendre_transform import coupled_by_mass, singular_mass
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, with_values
 from casadi_galerkin.problems.statements import Statement, optional, plain
 
@@ -69,6 +69,20 @@ def _twice_given(problem: BoundaryProblem) -> Iterator[str]:
         if len(given) > 1:
             words = " and ".join(f"{name}[{k % problem.dimension}] = {value}" for name, value in given.items())
             yield f"only one of position, velocity and momentum may be given at an end, got {words}"
+
+
+def _coupled_velocities(problem: BoundaryProblem) -> Iterator[str]:
+    """The momentum of a given velocity depends on one that is not given."""
+    for end in ENDS:
+        given = np.array([value is not None for value in getattr(problem, f"{end}_velocity")])
+        if given.any():
+            unknown = coupled_by_mass(problem.with_multipliers().lagrangian, given) & ~given
+            if unknown.any():
+                yield (
+                    f"{end}_velocity[{np.argmax(given)}] is given, and by the mass matrix its momentum depends on that "
+                    f"of component {np.argmax(unknown)}, which is not: give both, or {end}_momentum, or state a "
+                    "ControlProblem, whose ends take any of these"
+                )
 
 
 def _functions_of_ends(problem: BoundaryProblem) -> Iterator[str]:
@@ -206,7 +220,7 @@ class BoundaryProblem(Problem):
     integral_conditions: statements.Integrals = Statement(optional(statements.integrals), None)
     energy: statements.Number = Statement(optional(plain(finite)), None)
     breakpoints: statements.Times = Statement(statements.times, ())
-    rules, rules_of_values, rules_of_masses = RULES, (constraint_at_ends,), (singular_mass,)
+    rules, rules_of_values, rules_of_masses = RULES, (constraint_at_ends,), (singular_mass, _coupled_velocities)
 
     @property
     def given_positions(self) -> np.ndarray:

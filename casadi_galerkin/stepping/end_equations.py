@@ -1,8 +1,7 @@
 """The conditions of a boundary problem on the ends of a path, as equations between its first and its last state.
 
 In the global solve all of them are one term of the functional, whose rows are the momenta at positions that are not
-given (`functional.boundary_terms`).  In shooting the same rows are equations; η are the term's own multipliers and
-velocities:
+given (`functional.boundary_terms`).  In shooting the same rows are equations; η are the term's own multipliers:
 
     start      x_0 = given   or   p_0 = rows of x_0         of a periodic path p_0 = p_N
     end        x_N = given   or   p_N = -(rows of x_N)      of a periodic path x_N = x_0
@@ -22,6 +21,9 @@ p_λ,N = -T̄ E.  Below, x and p have λ and p_λ as their last components, and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -38,13 +40,10 @@ def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Func
     """
     d, times = problem.dimension, problem.t_span
     constraint = problem.numeric.constraint
-    rows, kept_unknown = rows_of_ends(problem, plane)
+    rows = rows_of_ends(problem, plane)
     x, p = ([ca.SX.sym(f"{name}{k}", d) for k in (0, 1)] for name in "xp")
     own = [ca.SX.sym("own", rows.size1_in(2))]
-    given = [
-        [None if i in components else value for i, value in enumerate(values)]
-        for components, values in zip(kept_unknown, (problem.start, problem.end), strict=True)
-    ]
+    given: list[Sequence[Any]] = [problem.start, problem.end]
     first, last, further = ca.vertsplit(rows(*x, *own), [0, d, 2 * d, rows.size1_out(0)])
     momenta = [first, -last]
     if problem.periodic:

@@ -22,7 +22,6 @@ from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
-from casadi_galerkin.functional.boundary_terms import end_velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
@@ -168,8 +167,8 @@ def finer(path: Trajectory) -> tuple[Trajectory]:
     return (shoot(path.problem, higher_degree_method(path.method.degree), mesh=path.t, guess=path),)
 
 
-def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(x_0, p_0), unknown velocities at the ends and velocity at the start of the guess, or of the straight line.
+def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
+    """(x_0, p_0) and the velocity at the start of the guess, or of the straight line.
 
     A free end of the line takes the value of the other.
     """
@@ -179,21 +178,17 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
         x = np.nan_to_num(np.where(np.isnan(start), end, start))
         v, stretch = np.nan_to_num((end - start) / duration), 1.0
         p = legendre_transform(problem.numeric.lagrangian)(problem.t_span[0], x, v)[0].full().ravel()
-        ends = [v, v]
     else:
         x, p, v = (a[:, 0] for a in (guess.x, guess.momentum, guess.velocity))
         stretch = (guess.t[-1] - guess.t[0]) / duration
-        ends = [v, guess.velocity[:, -1]]
-    own = np.concatenate([at[end.unknown] for at, end in zip(ends, end_velocities(problem), strict=True)])
     if problem.energy is None:
-        return np.concatenate((x, p)), own, v
-    return np.concatenate((x, [stretch], p, [0.0])), own, np.append(stretch * v, 0.0)
+        return np.concatenate((x, p)), v
+    return np.concatenate((x, [stretch], p, [0.0])), np.append(stretch * v, 0.0)
 
 
-def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
+def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
     """Newton's method with natural monotonicity line search: the shot that meets the end, and its iterations."""
-    multipliers = np.zeros(shooting.unknowns - len(state) - len(own))
-    start = np.concatenate((state, multipliers, own))
+    start = np.concatenate((state, np.zeros(shooting.unknowns - len(state))))
     try:
         shot = shooting.shoot(start, velocity)
     except ConvergenceError as error:

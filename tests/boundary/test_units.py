@@ -52,9 +52,8 @@ STATED = [
     (ON_THE_CIRCLE, "circle", "drag"),
     ({"start": [0.6, 0.8], "end": [None, None]}, "circle", "drag"),
     ({"start": [None, 0.2], "end": [1.0, 2.0], "start_momentum": [0.1, None]},),
-    ({"start": [0.3, None], "end": [1.0, 2.0], "start_velocity": [None, 0.1]},),
-    ({"start": [None, None], "end": [1.0, 2.0], "start_velocity": [None, 0.1]},),
-    ({"start": [0.3, None], "end": [None, 2.0], "end_velocity": [0.2, None]}, "drag"),
+    ({"start": [None, None], "end": [1.0, 2.0], "start_velocity": [0.2, 0.1]},),
+    ({"start": [0.3, None], "end": [None, None], "end_velocity": [0.2, 0.1]}, "drag"),
 ]
 ONE = (1.0, 1.0, 1.0)
 NUMBERS = range(len(STATED))

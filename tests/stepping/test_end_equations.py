@@ -69,15 +69,9 @@ KINDS = {
         cg.BoundaryProblem(oscillator, (0, 1), [0.3], [None], end_momentum=[0.5]),
         harmonic((1, 0, 0.3), (0, 1, 0.5)),
     ),
-    "velocity beside a position": (
-        cg.BoundaryProblem(coupled, (0, 1), [None, 0.2], [1.0, 0.5], start_velocity=[0.3, None]),
-        lambda t: [0.7 + 0.3 * t, 0.2 + 0.3 * t],
-    ),
-    "velocities at both ends": (
-        cg.BoundaryProblem(
-            coupled, (0, 1), [None, 0.2], [1.0, None], start_velocity=[0.3, None], end_velocity=[None, 0.4]
-        ),
-        lambda t: [0.7 + 0.3 * t, 0.2 + 0.4 * t],
+    "velocities that share a mass": (
+        cg.BoundaryProblem(coupled, (0, 1), [None, None], [1.0, 0.5], start_velocity=[0.3, 0.4]),
+        lambda t: [0.7 + 0.3 * t, 0.1 + 0.4 * t],
     ),
     "spring": (
         cg.BoundaryProblem(oscillator, (0, 1), [1.0], [None], end_action=lambda x0, x1: 2 * x1[0] ** 2),

@@ -232,21 +232,6 @@ def test_bad_input_is_named():
         cg.shoot(problem, cg.Galerkin(3), 5, guess=[1.0])
 
 
-def test_an_unknown_velocity_at_an_end_begins_as_that_of_the_guess():
-    """L is not defined at rest, where the unknown v_1 of the start would have no momentum."""
-    problem = cg.BoundaryProblem(
-        lambda t, x, v: ca.dot(v, ca.log(v)) + v[0] * v[1] / 4 - x[0] * x[1] / 10,
-        (0, 1),
-        [None, 0.0],
-        [1.0, 2.0],
-        start_velocity=[1.5, None],
-    )
-    path = cg.solve(problem, cg.Galerkin(6), 8, guess=lambda t: [1.5 * t, 2 * t])
-    shot = cg.shoot(problem, cg.Galerkin(6), 8, guess=path)
-    assert shot.iterations <= 1
-    np.testing.assert_allclose(shot.x, path.x, rtol=0, atol=1e-13)
-
-
 @pytest.mark.parametrize("intervals", [7, *slow(40)])
 @pytest.mark.parametrize("beside", [1e-6, *slow(1e-3)])
 def test_a_start_beside_a_straight_path_comes_to_it(beside, intervals):
