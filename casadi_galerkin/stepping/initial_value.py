@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +12,6 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import FEWEST, higher_degree_method, method_for
 from casadi_galerkin.calculus.numbers import told_apart
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.initial_problem import InitialProblem
@@ -35,12 +33,9 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     """
     began = time.perf_counter()
     p, v = problem.start_state
-    stepper = Stepper(problem, method)
-    roll = verified(stepper.roll(np.array(problem.start), p, v, mesh), stepper)
-    build = stepper.build_seconds
-    seconds = time.perf_counter() - began - build
-    path = trajectory(problem, stepper, roll, int(roll.iterations.sum()), "step by step", build, seconds)
-    path = replace(path, find_finer=finer)
+    roll = Stepper(problem, method).roll(np.array(problem.start), p, v, mesh)
+    check_steps(roll)
+    path = trajectory(problem, roll, int(roll.iterations.sum()), "step by step", began, finer)
     if verbose:
         print(path)
     return path
@@ -94,53 +89,46 @@ def to_tolerance(
     ) from failure
 
 
-def verified(roll: Roll, stepper: Stepper) -> Roll:
-    """Return the roll if all of its steps were solved to roundoff; else name the first that was not."""
+def check_steps(roll: Roll) -> None:
+    """Refuse a roll of which a step was not solved to roundoff, and name the first."""
     good, n = roll.solved_steps, len(roll.mesh) - 1
     if good == n:
-        return roll
+        return
     start, end = told_apart(*roll.mesh[good : good + 2])
     raise ConvergenceError(
         f"step {good + 1} of {n}, from t = {start} to {end}, was not solved: its residual is "
         f"{roll.residual[good]:.1e} times its roundoff floor, up to {ACCEPTED:g} is accepted. Take shorter steps "
         "there; the path may run into a collision or another singularity",
-        Path(path_of(roll, stepper, good)) if good else None,
+        Path(roll.path(good)) if good else None,
         float(roll.residual[good]),
         int(np.nansum(roll.iterations[: good + 1])),
     )
 
 
-def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
-    """The path over the first `count` intervals."""
-    nodes, d = stepper.method.element.nodes, len(roll.x)
-    inner = roll.x[:, :count, None] + roll.slopes[:, :count] @ stepper.basis.values(nodes[:-1]).T
-    values = np.column_stack((inner.reshape(d, -1), roll.x[:, count]))
-    return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)
-
-
 def trajectory(
     problem: InitialProblem | BoundaryProblem,
-    stepper: Stepper,
     roll: Roll,
     iterations: int,
     solver: str,
-    build_seconds: float,
-    solve_seconds: float,
+    began: float,
+    find_finer: Callable[[Trajectory], tuple[Trajectory, ...]],
 ) -> Trajectory:
     """Wrap verified steps as an answer; there is no Hessian of the whole action, so no Morse index."""
-    path = path_of(roll, stepper, len(roll.mesh) - 1)
+    build = roll.stepper.build_seconds
+    path, residual = roll.path(), float(roll.residual.max())
     off = off_constraint(problem, path) or off_tables(problem, path)
     if off is not None:
-        raise ConvergenceError(off, Path(path), float(roll.residual.max()), iterations)
+        raise ConvergenceError(off, Path(path), residual, iterations)
     return Trajectory(
         polynomial=path,
         momentum=roll.p,
         action=float(roll.action.sum()),
         iterations=iterations,
-        residual=float(roll.residual.max()),
+        residual=residual,
         solver=solver,
-        build_seconds=build_seconds,
-        solve_seconds=solve_seconds,
-        method=stepper.method,
+        build_seconds=build,
+        solve_seconds=time.perf_counter() - began - build,
+        method=roll.stepper.method,
         problem=problem,
+        find_finer=find_finer,
     )

@@ -112,26 +112,20 @@ def _shot(problem: BoundaryProblem, guess: Trajectory | None, method: Galerkin, 
     """The path by shooting on the joints of a mesh."""
     began = time.perf_counter()
     shooting = Shooting(problem, method, mesh, guess)
-    equations = time.perf_counter() - began - shooting.stepper.build_seconds
     shot, iterations = _newton(shooting, *_guess(problem, guess))
-    build = equations + shooting.stepper.build_seconds
-    seconds = time.perf_counter() - began - build
-    solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss)):.1e}"
-    roll = shooting.stepper.unstretched(shot.roll)
-    action = float(roll.action.sum())
-    end_action = problem.numeric.end_action
-    if end_action is not None:
-        action += float(end_action(roll.x[:, 0], roll.x[:, -1]))
+    roll, end_action = shot.roll.unstretched(), problem.numeric.end_action
+    added = 0.0 if end_action is None else float(end_action(roll.x[:, 0], roll.x[:, -1]))
     if problem.energy is not None:  # the duration asked for was a guess
         problem = problem.varied({}, (float(roll.mesh[0]), float(roll.mesh[-1])))
     at = roll.mesh[:1], roll.x[:, :1]  # the steps do not depend on the normal part of the first momentum
-    first = tangent_momenta(problem, *at, roll.p[:, :1], shooting.velocity(roll)[:, None])
+    first = tangent_momenta(problem, *at, roll.p[:, :1], roll.velocity[:, None])
     roll = replace(roll, p=np.column_stack((first, roll.p[:, 1:])))
-    path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
+    solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss)):.1e}"
+    path = trajectory(problem, roll, iterations, solver, began, finer)
     wrong = _other_end(problem, path) or turned_back(problem, path.polynomial, shooting.plane)
     if wrong is not None:
         raise ConvergenceError(wrong, Path(path.polynomial), shot.residual, iterations)
-    return replace(path, action=action, residual=shot.residual, missed=_missed(shot)[0], find_finer=finer)
+    return replace(path, action=path.action + added, residual=shot.residual, missed=_missed(shot)[0])
 
 
 def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
@@ -208,7 +202,7 @@ def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.nda
     """Halve the step until the simplified step from its end is shorter: the shot and the start there; or None."""
     scale = np.maximum(shot.sizes[: len(start)], np.abs(step)) + TINY
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ACCEPTED * shot.floor) else SMALLEST_DAMPING
-    velocity, damping = shooting.velocity(shot.roll), 1.0
+    velocity, damping = shot.roll.velocity, 1.0
     while damping >= smallest:
         moved = start + damping * step
         is_zero = np.abs(moved) <= ZERO_START * np.abs(start)  # to rounding: relative to itself it would never converge
@@ -250,7 +244,7 @@ def _refuse_conjugate(shot: Shot, iteration: int) -> None:
     """Raise a ConjugatePointError for a singular derivative, unless only rounding may have made it so."""
     if np.max(np.abs(shot.growth)) < 1 / MISS:
         reason = "the end does not depend on the start: the ends are conjugate points, or a family of paths joins them"
-        reason += ", or the guess rests at its start: give one that moves" if shot.stepper.free_duration else ""
+        reason += ", or the guess rests at its start: give one that moves" if shot.roll.stepper.free_duration else ""
         raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
 
 
@@ -268,7 +262,7 @@ def _met(shot: Shot, iteration: int) -> Shot:
     if np.all(np.abs(shot.miss) <= shot.floor) and _singular(_scaled(shot)[0]):
         _refuse_conjugate(shot, iteration)
     values = shot.path.values
-    if shot.stepper.free_duration and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
+    if shot.roll.stepper.free_duration and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
         raise _failure("the path has shrunk to a point, and its duration to zero", shot, iteration)
     return shot
 

@@ -1,12 +1,13 @@
 """The step (x, p) -> (x, p) of one interval, rolled forward.
 
 Newton's iteration is part of the graph, and starts from the Taylor polynomial of the interval before.  `mapaccum`
-chains the step over a piece of up to `INTERVALS_IN_A_PIECE` intervals; then all of these are verified by their
-residuals, which are computed anew.  Python runs once per piece, however many intervals that has.
+chains the step over a piece of √N of N intervals; then all of these are verified by their residuals, which are computed
+anew.  Python runs once per piece, of which there are √N: longer ones were not faster, but took longer to build.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 
@@ -14,14 +15,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.interval import TAYLOR_TERMS, SlopeBasis, interval, newton_iteration
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ACCEPTED
-
-# most intervals that are stepped without Python; longer pieces were not faster, but took longer to build
-INTERVALS_IN_A_PIECE = 64
 
 
 @dataclass(frozen=True)
@@ -30,6 +29,7 @@ class Roll:
 
     Attributes
     ----------
+    stepper : which made the steps
     mesh : (N + 1,), joints
     x, p : (d, N + 1), at the joints
     p_terms : (d, N + 1), sizes of the terms that p sums, which may cancel; the first is that of p itself
@@ -40,6 +40,7 @@ class Roll:
     action : (N,), of each interval
     """
 
+    stepper: Stepper
     mesh: np.ndarray
     x: np.ndarray
     p: np.ndarray
@@ -55,6 +56,29 @@ class Roll:
         d = len(self.x)
         columns = self.unknowns.shape[2] - (self.unknowns.shape[1] > d)  # with constraints there is one more
         return self.unknowns[:, :d, :columns].transpose(1, 0, 2)
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Velocity at the start, (d,)."""
+        first = self.slopes[:, 0] @ self.stepper.basis.slopes(np.zeros(1)).T
+        return first.ravel() / (self.mesh[1] - self.mesh[0])
+
+    def path(self, count: int | None = None) -> PiecewisePolynomial:
+        """The path over the first `count` intervals, or over all."""
+        nodes, slopes = self.stepper.method.element.nodes, self.slopes[:, :count]
+        (d, count, _) = slopes.shape
+        inner = self.x[:, :count, None] + slopes @ self.stepper.basis.values(nodes[:-1]).T
+        values = np.column_stack((inner.reshape(d, -1), self.x[:, count]))
+        return PiecewisePolynomial(self.mesh[: count + 1], nodes, values)
+
+    def unstretched(self) -> Roll:
+        """The steps at their true times: the stretch is applied to the mesh, and is no component any more."""
+        if not self.stepper.free_duration:
+            return self
+        d = len(self.x) - 1
+        mesh = self.mesh[0] + self.x[d, 0] * (self.mesh - self.mesh[0])
+        parts = {name: getattr(self, name)[:d] for name in ("x", "p", "p_terms")}
+        return replace(self, mesh=mesh, unknowns=np.delete(self.unknowns, d, axis=1), **parts)
 
     @property
     def solved_steps(self) -> int:
@@ -137,6 +161,7 @@ class Stepper:
         xs, ps, terms, s, iterations, ratio, action = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
         rows, columns = self._shape
         return Roll(
+            self,
             mesh,
             np.column_stack((x, xs.reshape(-1, d).T[:, :n])),
             np.column_stack((p, ps.reshape(-1, d).T[:, :n])),
@@ -146,15 +171,6 @@ class Stepper:
             np.where(np.isnan(action), np.nan, ratio.reshape(len(action), -1).max(axis=1))[:n],
             action[:n],
         )
-
-    def unstretched(self, roll: Roll) -> Roll:
-        """The steps at their true times: the stretch is applied to the mesh, and is no component any more."""
-        if not self.free_duration:
-            return roll
-        d = self.dimension - 1
-        mesh = roll.mesh[0] + roll.x[d, 0] * (roll.mesh - roll.mesh[0])
-        parts = {name: getattr(roll, name)[:d] for name in ("x", "p", "p_terms")}
-        return replace(roll, mesh=mesh, unknowns=np.delete(roll.unknowns, d, axis=1), **parts)
 
     def unknowns(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Unknowns of every interval, as in `Roll`, from slopes (N, d, m) that are theirs or near: with impulses."""
@@ -175,8 +191,6 @@ class Stepper:
 
 def _pieces(mesh: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
     """Intervals per piece, and start times and lengths of all; the last one is repeated to fill the last piece."""
-    n = len(mesh) - 1
-    count = -(-n // INTERVALS_IN_A_PIECE)
-    size = -(-n // count)
-    pad = (0, count * size - n)
+    size = 1 + math.isqrt(len(mesh) - 2)
+    pad = (0, (1 - len(mesh)) % size)
     return size, np.pad(mesh[:-1], pad, mode="edge"), np.pad(np.diff(mesh), pad, mode="edge")
