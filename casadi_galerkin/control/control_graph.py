@@ -26,7 +26,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import largest_of
 from casadi_galerkin.control.control_numbering import Chain, Field, Numbering
 from casadi_galerkin.control.control_places import all_places, linear
-from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import PointMap, one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases, joined_sections, sections, times_free
@@ -206,7 +206,7 @@ class ControlGraph:
         return self._function("nlp_hess_l", [slope, ca.triu2symm(self._upper_hessian)], *self._multipliers)
 
     @cached_property
-    def _verification(self) -> ObjectPool[Evaluator]:
+    def _verification(self) -> Evaluator:
         """(unknowns, data, φ, λ, sizes of the unknowns) -> the arrays of a `Report`.
 
         Two sizes of every equation are among them: the sum of the sizes of its terms, and the sum of the sizes of the
@@ -244,8 +244,7 @@ class ControlGraph:
             ca.mtimes(self._derivative[:, starts.tolist()].T, self._active(at_points)),
         ]
         extra = [*self._multipliers, sizes]
-        verification = self._function("verification", [*map(ca.densify, outputs)], *extra)
-        return ObjectPool(lambda: Evaluator(verification))
+        return Evaluator(self._function("verification", [*map(ca.densify, outputs)], *extra))
 
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
         """Evaluate the `Report` of a point.
@@ -255,8 +254,7 @@ class ControlGraph:
         numbers = self.numbering
         given = np.zeros(numbers.equations) if multipliers is None else multipliers
         sizes = largest_of(np.abs(unknowns), numbers.unknown_kinds)[numbers.unknown_kinds]
-        with self._verification.lend() as evaluate:
-            cost, of_changes, *arrays = evaluate(unknowns, data, np.ones(1), given, sizes)
+        cost, of_changes, *arrays = self._verification(unknowns, data, np.ones(1), given, sizes)
         costs, actions, equations, *terms, slope, hamiltonian, starts = arrays
         # The terms of a component at rest are only roundoff of its slopes, which is measured by the sizes of the terms
         # that cancel in the slopes.  The sizes of other components do not include these.

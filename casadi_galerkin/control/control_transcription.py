@@ -50,7 +50,7 @@ from casadi_galerkin.control.program_bounds import (
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import LONGER_DURATION, distinct_optima, first_found
 from casadi_galerkin.control.two_comparisons import compared, from_near
-from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, fork_waits, interrupts_raised
+from casadi_galerkin.functional.buffers import Evaluator, fork_waits, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.bounds import FEASIBLE, Limit
 from casadi_galerkin.problems.constrained_motion import check_points
@@ -137,7 +137,7 @@ class ControlTranscription:
         self.numbering, self.joins = self.graph.numbering, self.graph.joins
         self.bounds = bounds_of(self.phases, self.joins, self.numbering)
         check_count(self.numbering, self.bounds)
-        self._solvers: dict[str, ObjectPool[Evaluator]] = {}
+        self._solvers: dict[str, Evaluator] = {}
         self.build_seconds = time.perf_counter() - began
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -390,24 +390,23 @@ class ControlTranscription:
         return with_ipopt(self.graph, warm, verbose, solver.options)
 
     @cached_property
-    def _newton(self) -> ObjectPool[Evaluator] | None:
+    def _newton(self) -> Evaluator | None:
         """A step of Newton's method where nothing costs and nothing is to be chosen; or None."""
         costs = self.joins.cost is not None or any(phase.costs for phase in self.phases)
         program = None if costs else newton_step(self.graph, self.bounds)
-        return None if program is None else ObjectPool(lambda: Evaluator(program))
+        return None if program is None else Evaluator(program)
 
-    def _kept_program(self, solver: Solver, warm: bool, verbose: int) -> ObjectPool[Evaluator]:
+    def _kept_program(self, solver: Solver, warm: bool, verbose: int) -> Evaluator:
         """The solver for this program, built when it is first needed; with limited time, for this solve only."""
         key, kept = f"{warm} {verbose > 1} {solver!r}", math.isinf(seconds_left())
         if kept and key in self._solvers:
             return self._solvers[key]
         began = time.perf_counter()
-        program = self.program(solver, warm, verbose)
+        program = Evaluator(self.program(solver, warm, verbose))
         self.build_seconds += time.perf_counter() - began
-        pool = ObjectPool(lambda: Evaluator(program))
         if kept:
-            self._solvers[key] = pool
-        return pool
+            self._solvers[key] = program
+        return program
 
     def __repr__(self) -> str:
         """Say what was built."""

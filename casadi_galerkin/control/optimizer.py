@@ -16,7 +16,7 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
 from casadi_galerkin.control.control_graph import ControlGraph
 from casadi_galerkin.control.program_bounds import ProgramBounds
-from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
+from casadi_galerkin.functional.buffers import Evaluator, evaluating
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.solvers.deadline import limited, seconds_left
@@ -146,7 +146,7 @@ def _built(
 
 
 def optimize(
-    solver: ObjectPool[Evaluator],
+    solver: Evaluator,
     guess: np.ndarray,
     data: np.ndarray,
     bounds: ProgramBounds,
@@ -155,10 +155,10 @@ def optimize(
 ) -> Optimum:
     """Run a solver that relaxes bounds from a guess and, for a warm start, the multipliers of bounds and equations."""
     narrow = bounds.narrowed(relaxation)
-    with solver.lend() as run:
+    with evaluating():
         given = guess, data, *narrow.unknowns, *narrow.equations
-        x, _, _, of_bounds, of_equations, _ = run(*given, *(duals or (0.0, 0.0)))
-        stats = run.stats
+        x, _, _, of_bounds, of_equations, _ = solver(*given, *(duals or (0.0, 0.0)))
+        stats = solver.stats
     status = str(stats["return_status"]).replace("_", " ")
     status = FATROP_WORDS.get(status, status)
     low, high = narrow.unknowns
@@ -186,7 +186,7 @@ def newton_step(graph: ControlGraph, bounds: ProgramBounds) -> ca.Function | Non
 
 
 def newton(
-    solver: ObjectPool[Evaluator], kinds: np.ndarray, guess: np.ndarray, data: np.ndarray, bounds: ProgramBounds
+    solver: Evaluator, kinds: np.ndarray, guess: np.ndarray, data: np.ndarray, bounds: ProgramBounds
 ) -> Optimum | None:
     """The point at which all equations hold, by Newton's method with natural monotonicity, or None where it is lost.
 
@@ -195,27 +195,24 @@ def newton(
     (low, high), rows = bounds.unknowns, np.equal(*bounds.equations)
     free, unknowns, wanted = low < high, np.where(low < high, guess, low), bounds.equations[0][rows]
     iteration = 0
-    with solver.lend() as run:
 
-        def step_at(at: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, float]:
-            (step,) = run(at, point, data, wanted)
-            moved = np.zeros(len(at))
-            moved[free] = step.ravel()
-            return moved, float(np.max(np.abs(moved) / or_one(largest_of(np.abs(unknowns), kinds))[kinds]))
+    def step_at(at: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, float]:
+        (step,) = solver(at, point, data, wanted)
+        moved = np.zeros(len(at))
+        moved[free] = step.ravel()
+        return moved, float(np.max(np.abs(moved) / or_one(largest_of(np.abs(unknowns), kinds))[kinds]))
 
-        while iteration < ITERATION_LIMIT and seconds_left() > 0:
-            iteration, damping = iteration + 1, 1.0
-            step, size = step_at(unknowns, unknowns)
-            simplified, next_size = step_at(unknowns, unknowns + step)
-            if size * next_size <= EPS:  # the next but one would be rounding
-                found, zeros = unknowns + step + simplified, np.zeros(len(rows))
-                return Optimum(
-                    data, bounds, found, zeros, np.zeros(len(found)), True, "Solve Succeeded", iteration, False
-                )
-            while not next_size <= (1 - damping / 4) * size:
-                damping /= 2
-                if not damping > np.sqrt(EPS):
-                    return None
-                _, next_size = step_at(unknowns, unknowns + damping * step)
-            unknowns = unknowns + damping * step
+    while iteration < ITERATION_LIMIT and seconds_left() > 0:
+        iteration, damping = iteration + 1, 1.0
+        step, size = step_at(unknowns, unknowns)
+        simplified, next_size = step_at(unknowns, unknowns + step)
+        if size * next_size <= EPS:  # the next but one would be rounding
+            found, zeros = unknowns + step + simplified, np.zeros(len(rows))
+            return Optimum(data, bounds, found, zeros, np.zeros(len(found)), True, "Solve Succeeded", iteration, False)
+        while not next_size <= (1 - damping / 4) * size:
+            damping /= 2
+            if not damping > np.sqrt(EPS):
+                return None
+            _, next_size = step_at(unknowns, unknowns + damping * step)
+        unknowns = unknowns + damping * step
     return None

@@ -20,13 +20,12 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Generic, TextIO, TypeVar
+from typing import Any, TextIO
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-Lent = TypeVar("Lent")
 LIBRARY = "libcasadi-tp-openblas.so.0"  # on Linux; where it is not found, nothing is changed
 
 
@@ -46,36 +45,6 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=fork_waits.acquire, after_in_parent=fork_waits.release, after_in_child=fork_waits.release
     )
-
-
-class ObjectPool(Generic[Lent]):
-    """A pool of objects that calls write to: each call borrows an idle one, or a new one.
-
-    It is returned after the call, except after an interrupt, which may have left it in an inconsistent state.
-
-    Parameters
-    ----------
-    make : makes a new object
-    """
-
-    def __init__(self, make: Callable[[], Lent]) -> None:
-        self._make, self._idle = make, list[Lent]()
-
-    @contextmanager
-    def lend(self) -> Iterator[Lent]:
-        """Lend an object to a block."""
-        try:
-            lent = self._idle.pop()
-        except IndexError:  # none was made yet, or all are lent to other threads
-            lent = self._make()
-        try:
-            yield lent
-        except SystemError:  # an interrupt within CasADi's own code
-            raise
-        except Exception:  # a failed solve; KeyboardInterrupt is not an Exception
-            self._idle.append(lent)
-            raise
-        self._idle.append(lent)
 
 
 @contextmanager
@@ -128,6 +97,8 @@ def evaluating() -> Iterator[None]:
 
 class Evaluator:
     """Calls a Function on NumPy arrays: nonzeros in, nonzeros out.
+
+    Solves may share it, also after an interrupt: a call writes all inputs, and one thread at a time calls.
 
     Attributes
     ----------

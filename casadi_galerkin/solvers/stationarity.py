@@ -13,7 +13,7 @@ only one solve uses at a time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, evaluating
+from casadi_galerkin.functional.buffers import Evaluator, evaluating
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
@@ -77,19 +77,25 @@ class Stationarity:
         self.linear_solver = linear_solver(functional)
         self.variational = functional.symmetric and not functional.numbering.free_duration
         self.linear_methods = METHODS if functional.pointwise.kinetic and functional.symmetric else METHODS[1:]
-        self._workspaces = ObjectPool(lambda: Linearization(self))
+        self._kept: dict[Any, Any] = {}
 
     @contextmanager
     def linearization(self, linear_solver: str | None = None) -> Iterator[Linearization]:
-        """Lend a `Linearization` to one solve: that of an earlier solve, or a new one.
+        """A new `Linearization` for one solve, by this thread alone.
 
         Parameters
         ----------
         linear_solver : name of a CasADi linear solver; default `linear_methods`
         """
-        with evaluating(), self._workspaces.lend() as lent:
-            lent.methods = (linear_solver,) if linear_solver else self.linear_methods
-            yield lent
+        with evaluating():
+            yield Linearization(self, (linear_solver,) if linear_solver else self.linear_methods)
+
+    def keep(self, key: object, build: Callable[[], Built]) -> Built:
+        """What evaluates a Function, built when it is first used."""
+        if key not in self._kept:
+            self._kept[key] = build()
+        built: Built = self._kept[key]
+        return built
 
     @property
     def floor(self) -> ca.Function:
@@ -170,16 +176,9 @@ class Linearization:
     direction : near that of smallest curvature, of the last `newton_step`: a solution for a generic right-hand side
     """
 
-    def __init__(self, stationarity: Stationarity) -> None:
-        self.stationarity, self.methods = stationarity, tuple[str, ...](METHODS)
+    def __init__(self, stationarity: Stationarity, methods: Sequence[str]) -> None:
+        self.stationarity, self.methods, self.keep = stationarity, methods, stationarity.keep
         self.matrix = self.direction = self._masses = np.empty(0)
-        self._kept: dict[Any, Any] = {}
-
-    def keep(self, key: object, build: Callable[[], Built]) -> Built:
-        """What CasADi writes to, built when it is first used; kept here because two solves must not share it."""
-        if key not in self._kept:
-            self._kept[key] = build()
-        return self._kept[key]
 
     def evaluate(self, name: str, unknowns: np.ndarray, data: Data, *further: ArrayLike) -> list[np.ndarray]:
         """Evaluate one of the functional's own Functions."""
@@ -192,7 +191,7 @@ class Linearization:
         """Outputs by the first method that solves the linear equations, and measures, NaN where none does."""
         outputs, measures = list[np.ndarray](), np.empty(0)
         for method in self.methods:
-            evaluator = self._kept.get((key, method)) or self.keep((key, method), partial(_evaluator, build, method))
+            evaluator = self.keep((key, method), partial(_evaluator, build, method))
             *outputs, measures = evaluator.evaluated(*inputs)
             if measures[-1] <= 0:
                 break
