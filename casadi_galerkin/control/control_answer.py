@@ -47,7 +47,7 @@ def answer(
     """
     numbers, multipliers = graph.numbering, optimum.multipliers / graph.numbering.units(found_values)
     bound_multipliers = optimum.bound_multipliers
-    solve |= {"cost_size": report.cost_size, "duals": (multipliers, bound_multipliers)}
+    solve["cost_size"] = report.cost_size
     hamiltonians = np.split(report.hamiltonian, np.cumsum([chain.intervals for chain in numbers.chains])[:-1])
     starts = np.split(report.starts, np.cumsum([chain.dimension - chain.mechanical for chain in numbers.chains])[:-1])
     found, limits = list[ControlTrajectory](), list[ControlPath]()

@@ -24,6 +24,7 @@ from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
 from casadi_galerkin.control.control_graph import ControlGraph
 from casadi_galerkin.control.control_numbering import Numbering
+from casadi_galerkin.control.initial_guess import starting_point
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, Optimum
 from casadi_galerkin.control.program_bounds import bounds_of, equation_scales
 from casadi_galerkin.problems.bounds import FEASIBLE
@@ -281,7 +282,7 @@ def _solved(matrix: ca.DM, rhs: np.ndarray) -> np.ndarray:
 def control_function(transcription: Any, path: ControlTrajectory, solver: Solver) -> ca.Function:
     """A ControlTranscription with an optimum that it found as a Function of its data; see `solution_function`."""
     problem, graph, numbers = transcription.problem, transcription.graph, transcription.numbering
-    start = transcription.starting_point(problem, transcription.calculus, path)
+    start = starting_point(graph, problem, transcription.calculus, path)
     unknowns, p = numbers.pack(start.values)
     sizes = equation_scales(transcription.phases, numbers, transcription.bounds, graph.report(unknowns, p), start.sizes)
     data = data_of(problem, numbers, p, GIVEN)

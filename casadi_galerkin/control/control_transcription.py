@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -23,15 +23,14 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
-from casadi_galerkin.calculus.roundoff import EPS, or_one
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.control_answer import answer
 from casadi_galerkin.control.control_graph import ControlGraph, meshes_of, phases_of
 from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
-from casadi_galerkin.control.initial_guess import first_values, guesses_of_phases, near_answer
+from casadi_galerkin.control.initial_guess import StartingPoint, starting_point
 from casadi_galerkin.control.optimizer import (
     BOUND_RELAXATION,
-    TOLERANCE,
     Optimum,
     newton,
     newton_step,
@@ -58,35 +57,15 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.control_rules import determined
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.statements import check
-from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory, OptimalPath
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt, sqp
 
-LARGEST_TERMS_RATIO = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
-LEAST_TERMS = np.sqrt(EPS)  # part of the largest terms on the straight line below which those of a component are none
 SHORTEST_STEP = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
 SOLVER_NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop", sqp.name: "SQP"}
-
-
-@dataclass(frozen=True)
-class StartingPoint:
-    """The starting point of a solve.
-
-    Attributes
-    ----------
-    values : one array for every field of the `Chain` of every phase but impulses, which begin at zero
-    duals : multipliers of the bounds and of the equations for a warm start, or an empty tuple
-    sizes : sizes of the terms of every kind of equation
-    known : whether it is an earlier answer
-    """
-
-    values: list[dict[str, np.ndarray]]
-    duals: tuple[np.ndarray, ...]
-    sizes: np.ndarray
-    known: bool
 
 
 class ControlTranscription:
@@ -176,9 +155,10 @@ class ControlTranscription:
             is inside of these; where all components follow rates, as near to zero as bounds allow), anything
             `Transcription.solve` takes for the path, a tuple of that and a guess of the controls, or an earlier
             ControlTrajectory, whose controls, duration and parameters are then used too; where it has the same method
-            and intervals, the solver starts warm, from its multipliers.  A guess of the controls is a callable
-            t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N).  Where no path
-            is found from a guess, the straight line is tried
+            and intervals, the solver starts warm, from its multipliers; of one to a tolerance that has left out
+            breakpoints, only with a tolerance.  A guess of the controls is a callable t -> (n,), or an array (n, N r)
+            of values at the quadrature points, of held controls (n, N).  Where no path is found from a guess, the
+            straight line is tried
         mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
             that, four times this, or what its bounds allow
         solver : ipopt, fatrop or sqp, with or without options; sqp for warm starts, in place of which others are
@@ -214,7 +194,7 @@ class ControlTranscription:
         problem = self.problem.varied(given, span)
 
         def attempt(by: Solver, at: Guess | None, longer: float = 1.0) -> Any:
-            begun = self.starting_point(problem, calculus, at, longer)
+            begun = starting_point(self.graph, problem, calculus, at, longer)
             if by.name != sqp.name or begun.duals:
                 return self._solved(by, problem, calculus, begun, verbose, began)
             found = self._solved(ipopt, problem, calculus, begun, verbose, began)
@@ -224,7 +204,7 @@ class ControlTranscription:
         if solver.name != ipopt.name:  # others stall more easily
             other = ipopt
             attempts.append(("from the same start", partial(attempt, other, guess)))
-        known = isinstance(guess, (ControlTrajectory, PhasesTrajectory))
+        known = isinstance(guess, OptimalPath)
         if guess is not None and not known:
             attempts.append(("from the straight line", partial(attempt, other, None)))
         bounds = [side for phase in self.phases for side in (phase.duration_bounds or ((), ()))[1]]
@@ -334,52 +314,6 @@ class ControlTranscription:
             yield found, np.append(begin + found["duration"] * found["left"], end) if free else mesh
             begin = end
 
-    def starting_point(
-        self,
-        problem: ControlProblem | Phases,
-        calculus: DiscreteCalculus,
-        guess: Any,
-        longer: float = 1.0,
-    ) -> StartingPoint:
-        """The starting point of a solve from a guess, with free durations that are `longer` by this factor.
-
-        The equations of motion are scaled by the sizes of their terms along the guess, so that the absolute tolerance
-        of the solver does not depend on units.  These sizes are limited to ten times those on the straight line
-        between the ends, because the terms of a noisy guess are far too large.  Where a component hardly changes on the
-        line, as between ends that differ by rounding, its terms there are far too small and set no limit.  The momenta
-        of the guess are minus the residuals of the equations of the joints with momenta of zero.
-        """
-        numbers, phases = self.numbering, phases_of(problem)
-        calculi = [calculus]
-        if len(phases) > 1:
-            calculi = [DiscreteCalculus(self.method, mesh) for mesh in meshes_of(phases, calculus.mesh)]
-        near = near_answer(guess, numbers, calculi)
-
-        def values_at(some: Any, same: bool, factor: float) -> list[dict[str, np.ndarray]]:
-            guesses = guesses_of_phases(problem, numbers.chains[0], calculus, calculi, some)
-            given = zip(phases, numbers.chains, calculi, guesses, strict=True)
-            return [first_values(*each, same, factor) for each in given]
-
-        values = values_at(guess, near, longer)
-        report = self.graph.report(*numbers.pack(values))
-        if not np.isfinite(report.cost + np.sum(report.actions) + np.sum(report.equations)):
-            refuse_not_finite(phases, self.graph, *numbers.pack(values))
-        largest = report.sizes
-        if guess is not None and not near:  # no earlier answer: it may be noisy
-            line = self.graph.report(*numbers.pack(values_at(None, False, 1.0))).sizes
-            for chain in numbers.chains:
-                line[chain.motions] = _significant(line[chain.motions], LEAST_TERMS)
-            limited = (line > TOLERANCE) & np.isfinite(line)
-            largest = np.where(limited, np.fmin(LARGEST_TERMS_RATIO * line, largest), largest)
-        scaled = largest.copy()
-        for k, (chain, found) in enumerate(zip(numbers.chains, values, strict=True)):
-            found["sizes"] = or_one(_significant(largest[chain.motions], TOLERANCE))
-            scaled[chain.motions] = largest[chain.motions] / found["sizes"]
-            momentum = guess.phases[k].momentum[: chain.mechanical].T if near else -report.equations[chain.departures]
-            found["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / found["sizes"]
-        duals = (guess.duals[1], guess.duals[0] * numbers.units(values)) if near else ()
-        return StartingPoint(values, duals, scaled, isinstance(guess, (ControlTrajectory, PhasesTrajectory)))
-
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """Build the solver for this program."""
         if solver.name == fatrop.name:
@@ -419,12 +353,6 @@ class ControlTranscription:
             f"{counted(len(self.mesh) - 1, 'interval')}: {counted(self.numbering.unknowns, 'unknown')}, built in "
             f"{self.build_seconds:.4f} s"
         )
-
-
-def _significant(sizes: np.ndarray, part: float) -> np.ndarray:
-    """The sizes of terms of all components; zero for those not finite, or at most this part of the largest."""
-    finite = np.where(np.isfinite(sizes), sizes, 0.0)
-    return np.where(finite > part * np.max(finite, initial=0.0), finite, 0.0)
 
 
 def _check_steps(mesh: np.ndarray) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -12,25 +13,126 @@ import numpy as np
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, or_one
+from casadi_galerkin.control.control_graph import ControlGraph, meshes_of, phases_of
 from casadi_galerkin.control.control_numbering import Chain, Numbering
+from casadi_galerkin.control.failed_optimization import refuse_not_finite
+from casadi_galerkin.control.optimizer import TOLERANCE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory, OptimalPath
 from casadi_galerkin.solution.guess import Guess, Values, check_finite_values, guess_values, meeting_ends, sampled
 
+LARGEST_TERMS_RATIO = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
+LEAST_TERMS = np.sqrt(EPS)  # part of the largest terms on the straight line below which those of a component are none
 SAME_FRACTION = np.sqrt(EPS)  # distance over the duration at which joints are equal
 
 
+@dataclass(frozen=True)
+class StartingPoint:
+    """The starting point of a solve.
+
+    Attributes
+    ----------
+    values : one array for every field of the `Chain` of every phase but impulses, which begin at zero
+    duals : multipliers of the bounds and of the equations for a warm start, or an empty tuple
+    sizes : sizes of the terms of every kind of equation
+    known : whether it is an earlier answer
+    """
+
+    values: list[dict[str, np.ndarray]]
+    duals: tuple[np.ndarray, ...]
+    sizes: np.ndarray
+    known: bool
+
+
+def starting_point(
+    graph: ControlGraph, problem: ControlProblem | Phases, calculus: DiscreteCalculus, guess: Any, longer: float = 1.0
+) -> StartingPoint:
+    """The starting point of a solve from a guess, with free durations that are `longer` by this factor.
+
+    From an answer with the same unknowns, equations and fractions of the mesh it is warm: that answer, with the numbers
+    that are given now.
+
+    The equations of motion are scaled by the sizes of their terms along the guess, so that the absolute tolerance of
+    the solver does not depend on units.  These sizes are limited to ten times those on the straight line between the
+    ends, because the terms of a noisy guess are far too large.  Where a component hardly changes on the line, as
+    between ends that differ by rounding, its terms there are far too small and set no limit.  The momenta of a guess
+    are minus the residuals of the equations of the joints with momenta of zero.
+    """
+    numbers, phases = graph.numbering, phases_of(problem)
+    calculi = [calculus]
+    if len(phases) > 1:
+        calculi = [DiscreteCalculus(calculus.method, mesh) for mesh in meshes_of(phases, calculus.mesh)]
+    each = list(zip(phases, numbers.chains, calculi, strict=True))
+    warm = _kept_values(guess, numbers, each)
+
+    def values_at(some: Any, factor: float) -> list[dict[str, np.ndarray]]:
+        guesses = guesses_of_phases(problem, numbers.chains[0], calculus, calculi, some)
+        return [first_values(*one, at, factor) for one, at in zip(each, guesses, strict=True)]
+
+    values = warm or values_at(guess, longer)
+    report = graph.report(*numbers.pack(values))
+    if not np.isfinite(report.cost + np.sum(report.actions) + np.sum(report.equations)):
+        refuse_not_finite(phases, graph, *numbers.pack(values))
+    largest = report.sizes
+    if guess is not None and not warm:  # no earlier answer: it may be noisy
+        line = graph.report(*numbers.pack(values_at(None, 1.0))).sizes
+        for chain in numbers.chains:
+            line[chain.motions] = _significant(line[chain.motions], LEAST_TERMS)
+        limited = (line > TOLERANCE) & np.isfinite(line)
+        largest = np.where(limited, np.fmin(LARGEST_TERMS_RATIO * line, largest), largest)
+    scaled, duals = largest.copy(), tuple[np.ndarray, ...]()
+    for chain, found in zip(numbers.chains, values, strict=True):
+        momentum = found["momentum"] if warm else -report.equations[chain.departures]
+        found["sizes"] = or_one(_significant(largest[chain.motions], TOLERANCE))
+        scaled[chain.motions] = largest[chain.motions] / found["sizes"]
+        found["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / found["sizes"]
+    if warm:
+        at = guess.variations.optimum
+        units = numbers.units(values) / numbers.units(numbers.unpack(at.unknowns, at.data))
+        duals = at.bound_multipliers, at.multipliers * units
+    return StartingPoint(values, duals, scaled, isinstance(guess, OptimalPath))
+
+
+def _significant(sizes: np.ndarray, part: float) -> np.ndarray:
+    """The sizes of terms of all components; zero for those not finite, or at most this part of the largest."""
+    finite = np.where(np.isfinite(sizes), sizes, 0.0)
+    return np.where(finite > part * np.max(finite, initial=0.0), finite, 0.0)
+
+
+def _given_values(problem: ControlProblem, mesh: np.ndarray) -> dict[str, Any]:
+    """Times and parameters of a phase, and units of momenta of one: values of the data, where these are not free."""
+    lasts = mesh[-1] - mesh[0]
+    parts = {"left": (mesh[:-1] - mesh[0]) / lasts, "part": np.diff(mesh) / lasts, "sizes": np.ones(problem.mechanical)}
+    return {"begin": mesh[0], "duration": lasts, "parameters": np.array(problem.parameters or ()), **parts}
+
+
+def _kept_values(
+    guess: Any, numbers: Numbering, each: Sequence[tuple[ControlProblem, Chain, DiscreteCalculus]]
+) -> list[dict[str, np.ndarray]]:
+    """The values of an earlier answer, bent to the given ends and with the data given; none unless all numbers fit."""
+    at = guess.variations.optimum if isinstance(guess, OptimalPath) and guess.variations is not None else None
+    counts = numbers.unknowns, numbers.equations, numbers.size - numbers.unknowns
+    if at is None or guess.method != numbers.chains[0].method:
+        return []
+    if (len(at.unknowns), len(at.multipliers), len(at.data)) != counts:
+        return []
+    values = numbers.unpack(at.unknowns, at.data)
+    for (problem, chain, calculus), found in zip(each, values, strict=True):
+        now = _given_values(problem, calculus.mesh)
+        if np.max(np.abs(found["left"] - now["left"])) > SAME_FRACTION:
+            return []
+        found["momentum"] *= found["sizes"]
+        found |= {name: value for name, value in now.items() if name not in chain.free}
+        found |= _at_nodes(chain, _path(problem, calculus, chain.path(found, calculus.mesh).values))
+    return values
+
+
 def first_values(
-    problem: ControlProblem,
-    chain: Chain,
-    calculus: DiscreteCalculus,
-    guess: Guess | None,
-    near: bool,
-    longer: float = 1.0,
+    problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Guess | None, longer: float = 1.0
 ) -> dict[str, np.ndarray]:
     """Values of the fields of a phase at a guess, within the bounds and with the given values.
 
@@ -38,43 +140,41 @@ def first_values(
     zero, or in the middle of their bounds unless zero lies inside of these: from zero on a bound, as of a thruster, a
     quadrotor took ten times as many iterations, or found nothing.  Where all components follow rates, controls are as
     near to zero as their bounds allow: from the middle, the infected of epidemics grew without bounds on coarse meshes.
-    Momenta and impulses are left out, and the units of momenta are one.  A free duration is `longer` times that of the
-    mesh, within its bounds, or that of an earlier solution.
-
-    Parameters
-    ----------
-    near : whether the guess is an earlier solution on the same fractions of the phase, see `near_answer`
+    Momenta and impulses are left out.  A free duration is `longer` times that of the mesh, within its bounds, or that
+    of an earlier solution.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
-    mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
-    lasts, degree = mesh[-1] - mesh[0], chain.method.degree
+    mesh, times = calculus.mesh, calculus.node_times
+    values, duration = _given_values(problem, mesh), longer * (mesh[-1] - mesh[0])
     if isinstance(guess, ControlTrajectory):
-        path_guess, control_guess = _of_answer(guess, near, problem, chain, calculus)
-    path = _path(problem, calculus, path_guess)
-    slopes, parameters = np.diff(path[[0, 1, -2, -1]], axis=0)[::2], np.array(problem.parameters or ())
-    at_ends, begin, duration = slopes / np.diff(times[[0, 1, -2, -1]])[::2, None], mesh[0], longer * lasts
-    if isinstance(guess, ControlTrajectory):
-        at_ends, duration = np.array((guess.start_velocity, guess.end_velocity)), guess.t[-1] - guess.t[0]
-        begin = guess.t[0] if "begin" in chain.free else begin
+        path_guess, control_guess = _of_answer(guess, problem, chain, calculus)
+        duration = guess.t[-1] - guess.t[0]
+        if "begin" in chain.free:
+            values["begin"] = guess.t[0]
         found = np.array(guess.parameters or ())
         if problem.parameter_bounds is not None and len(found) == chain.parameters:
-            parameters = np.clip(found, *problem.parameter_bounds)
+            values["parameters"] = np.clip(found, *problem.parameter_bounds)
+    if problem.duration_bounds is not None:
+        values["duration"] = np.clip(duration, *problem.duration_bounds)
+    path = _path(problem, calculus, path_guess)
+    at_ends = np.diff(path[[0, 1, -2, -1]], axis=0)[::2] / np.diff(times[[0, 1, -2, -1]])[::2, None]
+    if isinstance(guess, ControlTrajectory):
+        at_ends = np.array((guess.start_velocity, guess.end_velocity))
     given = np.array([problem.start_velocity, problem.end_velocity], dtype=float)  # NaN for None
-    velocities = np.where(np.isnan(given), at_ends, given)[:, :dm]
-    bounds = problem.duration_bounds
+    velocities = np.where(np.isnan(given), at_ends, given)[:, : chain.mechanical]
+    velocity = {"start_velocity": velocities[0], "end_velocity": velocities[1]}
     return {
-        "x": path[::degree],
-        "nodes": path[1:].reshape(n, degree, -1),
+        **values,
+        **_at_nodes(chain, path),
+        **velocity,
         "controls": _controls(problem, chain, calculus, control_guess),
-        "start_velocity": velocities[0],
-        "end_velocity": velocities[1],
-        "begin": begin,
-        "duration": lasts if bounds is None else np.clip(duration, *bounds),
-        "parameters": parameters,
-        "left": (mesh[:-1] - mesh[0]) / lasts,
-        "part": np.diff(mesh) / lasts,
-        "sizes": np.ones(dm),
     }
+
+
+def _at_nodes(chain: Chain, path: np.ndarray) -> dict[str, np.ndarray]:
+    """Values of the fields that have those of a path (N m + 1, d)."""
+    degree = chain.method.degree
+    return {"x": path[::degree], "nodes": path[1:].reshape(chain.intervals, degree, -1)}
 
 
 def guesses_of_phases(
@@ -110,7 +210,7 @@ def guesses_of_phases(
     mesh, times = whole.mesh, times_at(whole.mesh, first.control_times)
     path_guess, controls = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     if isinstance(guess, ControlTrajectory):
-        path_guess, controls = _of_answer(guess, False, problem, first, whole)
+        path_guess, controls = _of_answer(guess, problem, first, whole)
     path = PiecewisePolynomial(mesh, whole.method.element.nodes, _path(problem, whole, path_guess).T)
     cuts = np.cumsum([0, *(len(one.mesh) - 1 for one in calculi)])
     parts = (
@@ -151,7 +251,7 @@ def _lines(problem: Phases) -> list[Any]:
 
 
 def _of_answer(
-    answer: ControlTrajectory, near: bool, problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus
+    answer: ControlTrajectory, problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus
 ) -> tuple[np.ndarray, np.ndarray]:
     """Node values and controls of an earlier solution, at the same fractions of the phases of a problem."""
     if len(answer.x) != chain.dimension:
@@ -159,27 +259,10 @@ def _of_answer(
     controls = len(answer.control.values)
     if controls != chain.controls:
         raise ValueError(f"the guess must have {counted(chain.controls, 'control')}, got {controls}")
-    if near:
-        return answer.polynomial.values, answer.control.values
     now, then = (np.array(section_times(one)) for one in (problem, answer.problem))
     times = calculus.node_times, times_at(calculus.mesh, chain.control_times)
     nodes, points = (map_times(t, now, then) for t in times)
     return answer(nodes), answer.control(points)
-
-
-def near_answer(guess: Any, numbering: Numbering, calculi: Sequence[DiscreteCalculus]) -> bool:
-    """Whether the guess is a solution with the same unknowns, equations and fractions of the mesh, for a warm start."""
-    phases = getattr(guess, "phases", ())
-    if len(phases) != len(calculi) or [a.shape for a in guess.duals] != [(numbering.equations,), (numbering.unknowns,)]:
-        return False
-    for one, chain, calculus in zip(phases, numbering.chains, calculi, strict=True):
-        mesh, shape = calculus.mesh, (chain.dimension, len(calculus.node_times))
-        if one.method != calculus.method or one.polynomial.values.shape != shape:
-            return False
-        joints = map_times(one.t, section_times(one.problem), mesh[[0, *chain.breaks, -1]].tolist())
-        if np.max(np.abs(joints - mesh)) > SAME_FRACTION * (mesh[-1] - mesh[0]):
-            return False
-    return True
 
 
 def _zero_or_middle(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:

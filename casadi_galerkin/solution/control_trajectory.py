@@ -80,7 +80,7 @@ class OptimalPath(Answer):
 
     Attributes
     ----------
-    cost, cost_size, cost_error, control, costate, path_multipliers, duals, violation : as of a `ControlTrajectory`
+    cost, cost_size, cost_error, control, costate, path_multipliers, violation : as of a `ControlTrajectory`
     parts : the paths of the phases, if there are several
     number : of this phase, if it is one of several
     """
@@ -91,7 +91,6 @@ class OptimalPath(Answer):
     cost_size: float
     control: ControlPath
     costate: PiecewisePolynomial
-    duals: tuple[np.ndarray, np.ndarray]
     violation: float
     find_comparisons: Callable[[Any], Comparisons]
     path_multipliers: ControlPath | None = None
@@ -265,10 +264,6 @@ class ControlTrajectory(OptimalPath, Trajectory):
     path_multipliers : callable like `control`, of the path constraints, or None where there is none: positive where an
         upper bound acts, negative where a lower one does.  Raising the bounds by δ(t), but not at a free end, changes
         the cost by -∫ μ·δ dt
-    duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations and of the bounds: with this
-        trajectory as its guess, a solve with the same method on the same intervals starts warm.  A solve to a tolerance
-        leaves out breakpoints with a free time and neither a waypoint nor a jump; where it has left some out, its
-        solution gives a warm start only to another solve to a tolerance
     hamiltonian : (N,), mean of I - v·∂(I + μ·g)/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
         I = ℓ + λ·(∂L/∂x + F, ρ) + dλ/dt·(∂L/∂v, z) with components z that follow the rates ρ, and μ are the
         multipliers of the path constraints g; of order 2m.  The same on all intervals where nothing depends on t, no

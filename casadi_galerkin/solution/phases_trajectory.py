@@ -27,7 +27,7 @@ class PhasesTrajectory(OptimalPath):
     phases : ControlTrajectory of every phase, with its part of the cost
     problem : Phases with the times and parameters found
     cost : of all phases together, with what joins them
-    cost_size, violation, residual, duals, iterations, solver, build_seconds, solve_seconds, method : as those of a
+    cost_size, violation, residual, iterations, solver, build_seconds, solve_seconds, method : as those of a
         ControlTrajectory, of the whole
     error_estimate, cost_error : as there; None before `estimate_error`
 

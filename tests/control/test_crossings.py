@@ -10,6 +10,7 @@ from control_problems import double_integrator, staged
 from slow import slow
 
 import casadi_galerkin as cg
+from casadi_galerkin.control.initial_guess import starting_point
 
 SOLVED = 1e-8  # what a solver leaves of the optimality conditions, amplified by their conditioning
 GIVEN = {"duration_bounds": None, "parameter_bounds": None}
@@ -186,7 +187,7 @@ def test_an_answer_is_a_guess_with_its_jumps():
     known = cold.solve()
     assert cold.solve(guess=known).iterations <= 2
     finer = cg.transcribe(staged(), cg.Galerkin(6), 12)
-    values = finer.starting_point(finer.problem, finer.calculus, known).values
+    values = starting_point(finer.graph, finer.problem, finer.calculus, known).values
     jumps = np.array([after["x"][0] - before["x"][-1] for before, after in pairwise(values)])
     when = np.array(known.problem.breakpoints)
     np.testing.assert_allclose(jumps.T, known(when) - known.before(when), rtol=0, atol=1e-12)

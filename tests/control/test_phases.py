@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import minimize
 
 import casadi_galerkin as cg
+from casadi_galerkin.control.initial_guess import starting_point
 
 SOLVED = 1e-8  # what a solver leaves of the optimality conditions, amplified by their conditioning
 
@@ -270,7 +271,7 @@ def test_without_a_guess_lines_lead_to_the_next_positions_that_are_given():
         cg.Galerkin(2),
         5,
     )
-    values = program.starting_point(program.problem, program.calculus, None).values
+    values = starting_point(program.graph, program.problem, program.calculus, None).values
     ends = [of_phase["x"][[0, -1], 0].tolist() for of_phase in values]
     np.testing.assert_allclose(ends, [[1, 2], [2, 3], [3, 5], [2, 2]], rtol=0, atol=1e-15)
 
