@@ -185,23 +185,21 @@ class Curve(Generic[At]):
             matrix = ca.DM(self.stationarity.linear_solver.sparsity, at.matrix.tolist()).full()
         return residual, np.column_stack((matrix, rate))
 
-    def reach(self, z: np.ndarray, null: np.ndarray) -> float:
-        """How many times a null vector y of ∂F/∂ξ leads to where ∂F/∂ξ has changed: yᵀ∂F/∂ξ y by a tenth of its terms.
+    def reach(self, z: np.ndarray, direction: np.ndarray, y: np.ndarray) -> float:
+        """How many times a direction leads to where yᵀ∂F/∂ξ y, or yᵀ∂F/∂ξ |y|, has changed by a tenth of its terms.
 
-        A change that is odd where y is not, or even, does not show in that, but in yᵀ∂F/∂ξ |y|.  It is infinite where
-        neither changes, as along a family of paths.
+        A change that is odd where y is not, or even, does not show in the former.  It is infinite where neither
+        changes, as along a family of paths.
         """
-        data = self.data(z[-1])
+        here = np.zeros(2)
         with self.stationarity.linearization() as at:
-
-            def forms(factor: float) -> np.ndarray:
-                moved, others = z[:-1] + factor * null, (null, np.abs(null))
-                return np.array([at.evaluate("curvature", moved, data, null, other) for other in others])[:, :, 0].T
-
-            here = forms(0.0)[0]
-            for factor in 2.0 ** np.arange(np.log2(EPS), -np.log2(EPS)):
-                signed, positive = forms(factor)
-                if np.any(np.abs(signed - here) > positive / 10):
+            for factor in (0.0, *4.0 ** np.arange(np.log2(EPS) / 2, -np.log2(EPS) / 2)):
+                *along, s = z + factor * direction
+                forms = [at.evaluate("curvature", along, self.data(s), y, other) for other in (y, np.abs(y))]
+                signed, positive = np.array(forms)[:, :, 0].T
+                if factor == 0:
+                    here = signed
+                elif np.any(np.abs(signed - here) > positive / 10):
                     return float(factor)
         return np.inf
 
@@ -224,59 +222,56 @@ class Curve(Generic[At]):
 
     def branch_point(self, z: np.ndarray, tangent: np.ndarray) -> Crossing | None:
         """The branch point near a point of the curve with this tangent; None if Newton's method leads to none."""
-        n, random, columns, mu = len(z) - 1, np.random.default_rng(0), self.columns(z), 0.0
-        rows = 1 / or_one(np.max(np.abs(self.jacobian(z)[1] * columns), axis=1))
-        border, corner = random.normal(size=(n, 1)), random.normal(size=(n + 1, 2))
+        columns, (residual, jacobian) = self.columns(z), self.jacobian(z)
+        rows = 1 / or_one(np.max(np.abs(jacobian * columns), axis=1))
         for _ in range(CORRECTOR_ITERATIONS):
-            residual, jacobian = self.jacobian(z)
-            jacobian = rows[:, None] * jacobian * columns
-            matrix = np.block([[jacobian, border], [corner.T, np.zeros((2, 1))]])
-            if not np.isfinite(matrix).all():
+            scaled = rows[:, None] * jacobian * columns
+            if not np.isfinite(scaled).all():
                 return None
-            try:
-                right = np.linalg.solve(matrix, np.eye(n + 2)[:, n:])[: n + 1]
-                right /= np.linalg.norm(right, axis=0)
-                left, g = np.split(np.linalg.solve(matrix.T, np.eye(n + 2)[n + 1]), [n])
-                second = [
-                    columns * self.second_derivative(z, rows * left, columns * direction) for direction in right.T
-                ]
-                matrix[n:, : n + 1] = -np.array(second)
-                step = np.linalg.solve(matrix, -np.concatenate((rows * residual + mu * border[:, 0], g)))
-            except np.linalg.LinAlgError:
+            left, values, right = np.linalg.svd(scaled)  # whose last vectors border the matrix
+            psi, kernel = rows * left[:, -1], columns * right[-2:]
+            null = np.array([kernel[1, -1], -kernel[0, -1]]) @ kernel
+            null /= np.max(np.abs(null))
+            second = np.array([self.second_derivative(z, psi, direction, null[:-1]) for direction in kernel])
+            if not np.isfinite(second).all():
                 return None
-            z, mu, length = z + columns * step[:-1], mu + step[-1], np.linalg.norm(step[:-1])
+            matrix = np.block([[scaled, left[:, -1:]], [columns * second, np.zeros((2, 1))]])
+            *step, mu = -np.linalg.lstsq(matrix, np.concatenate((rows * residual, [values[-1], 0.0])))[0]
+            z, length = z + columns * step, np.linalg.norm(step)
             if not length < 1 / EPS:
                 return None
-            if length < EPS ** (5 / 6):  # of quadratic convergence, but for the differences' EPS^(2/3)
-                if abs(mu) > EPS ** (2 / 3) * np.max(np.abs(jacobian) @ np.abs(z / columns), initial=1.0):
+            if length < EPS**0.5:  # the next step is roundoff
+                if abs(mu) > EPS ** (2 / 3) * np.max(np.abs(scaled) @ np.abs(z / columns), initial=1.0):
                     return None
-                return self._crossing(z, tangent, rows * left, columns[:, None] * right)
-            border, corner = left[:, None] / np.linalg.norm(left), np.linalg.qr(right)[0]
+                return self._crossing(z, tangent, psi, kernel, null)
+            residual, jacobian = self.jacobian(z)
         return None
 
-    def second_derivative(self, z: np.ndarray, left: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """ψ·F_zz times a direction, by central differences; (n + 1,)."""
-        move = EPS ** (1 / 3) * direction
-        return left @ (self.jacobian(z + move)[1] - self.jacobian(z - move)[1]) / (2 * EPS ** (1 / 3))
+    def second_derivative(self, z: np.ndarray, psi: np.ndarray, direction: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """ψ·F_zz times a direction, by central differences, whose steps follow its `reach`; (n + 1,)."""
+        reach = self.reach(z, direction, y)
+        step = EPS ** (1 / 3) * (reach if np.isfinite(reach) else 1.0)
+        with np.errstate(invalid="ignore"):
+            there, back = (self.jacobian(z + side * step * direction)[1] for side in (1, -1))
+            return psi @ (there - back) / (2 * step)
 
-    def _crossing(self, z: np.ndarray, tangent: np.ndarray, left: np.ndarray, right: np.ndarray) -> Crossing:
-        """The branch point with what leads on, from its null vectors: of the left, and the two columns of J."""
-        last = right[-1] / np.linalg.norm(right[-1])
-        null, rest = right @ np.array([last[1], -last[0]]), right @ last
-        null /= np.max(np.abs(null))
-        reach = self.reach(z, null[:-1])
+    def _crossing(
+        self, z: np.ndarray, tangent: np.ndarray, psi: np.ndarray, kernel: np.ndarray, null: np.ndarray
+    ) -> Crossing:
+        """The branch point with what leads on, from the null vectors of J, (2, n + 1), and the one of ∂F/∂ξ."""
+        reach, rest = self.reach(z, null, null[:-1]), kernel[:, -1] @ kernel
         if not np.isfinite(reach):
             return Crossing(z, null[:-1], None)
-        basis = np.column_stack((reach * null, rest / rest[-1]))
-        form = np.array([self.second_derivative(z, left, column) for column in basis.T]) @ basis
-        fraction = (tangent - tangent[-1] * basis[:, 1])[:-1] @ null[:-1] / (reach * null[:-1] @ null[:-1])
+        basis = np.array([reach * null, rest / rest[-1]])
+        form = np.array([self.second_derivative(z, psi, direction, null[:-1]) for direction in basis]) @ basis.T
+        fraction = (tangent - tangent[-1] * basis[1])[:-1] @ null[:-1] / (reach * null[:-1] @ null[:-1])
         along = np.array([fraction, tangent[-1]]) / np.hypot(fraction, tangent[-1])
         across = np.array([-along[1], along[0]])
         mixed, own = along @ form @ across, across @ form @ across
         if not abs(mixed) > SIMPLE_BRANCH_POINT * np.max(np.abs(form)):
             return Crossing(z, null[:-1], None)
         direction = across - own / (2 * mixed) * along
-        return Crossing(z, null[:-1], basis @ direction / np.linalg.norm(direction))
+        return Crossing(z, null[:-1], direction / np.linalg.norm(direction) @ basis)
 
 
 class LoadedCurve(Curve[Point]):
