@@ -5,7 +5,6 @@ for a tolerance: `first_path` finds a first path, if necessary in a growing time
 for `several_paths`; `error_estimate` estimates the error of each path.
 `repeated_refinement` does so again and again, for different data of one problem.  `continuation` follows a path while
 parameters change, and returns a `branch`; `all_paths` finds other paths between the same ends, by the search of
-`several_paths`; `sensitivity` differentiates.  `neighboring_problems` compares problems that differ in given values,
-and their paths.  `failure_report` reports failures.
+`several_paths`; `sensitivity` differentiates.  `failure_report` reports failures.
 This folder imports all that stand before it, but neither `stepping` nor `control`.
 """

@@ -19,13 +19,12 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.neighboring_problems import ends_replaced, same_statement
 from casadi_galerkin.boundary.transcription import GraphCache
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import PointMap, by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import map_times, section_times
+from casadi_galerkin.problems.problem import Problem, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits
@@ -123,7 +122,10 @@ class RepeatedRefinement:
 
         lost: ConvergenceError | None = None
         try:
-            point = solved(ends_replaced(path, graphs.problem))
+            ends = graphs.problem.given_positions.T
+            bent = path.copy()
+            bent[:, [0, -1]] = np.where(np.isnan(ends), path[:, [0, -1]], ends)
+            point = solved(bent)
             if index(point.problem, point.polynomial) == index(known.problem, known.polynomial):
                 return refinement.resume(point)
         except LimitReached:
@@ -139,3 +141,11 @@ class RepeatedRefinement:
         if lost is not None:
             raise lost
         return refinement.resume(point)
+
+
+def same_statement(one: Problem, other: BoundaryProblem) -> bool:
+    """Whether one of two problems may be `varied` from the other: the same components given, the same breakpoints."""
+    if not isinstance(one, BoundaryProblem) or one.breakpoints != other.breakpoints:
+        return False
+    free = [{name: [a is None for a in values] for name, values in each.given.items()} for each in (one, other)]
+    return free[0] == free[1]

@@ -84,6 +84,13 @@ class Problem:
         return self.dimension
 
     @property
+    def given(self) -> dict[str, tuple[float | None, ...]]:
+        """All values that can be varied, by name; None where a component is free."""
+        values = {name: getattr(self, name, None) for name in VARIED}
+        given = {name: value for name, value in values.items() if is_given(value)}
+        return {name: value if isinstance(value, tuple) else (value,) for name, value in given.items()}
+
+    @property
     def given_at_ends(self) -> dict[str, tuple[np.ndarray, ...]]:
         """Time, position, velocity and parameters at the start, and at the end if there is one; NaN where free."""
         ends = {}

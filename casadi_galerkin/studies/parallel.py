@@ -24,7 +24,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from casadi_galerkin._solve import AdaptiveTranscription, solve, transcribe
-from casadi_galerkin.boundary.neighboring_problems import data_vector, nearest
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import or_one
@@ -32,7 +31,7 @@ from casadi_galerkin.control.control_transcription import ControlTranscription
 from casadi_galerkin.functional.buffers import fork_waits, interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import VARIED, map_times, section_times
+from casadi_galerkin.problems.problem import VARIED, Problem, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -45,6 +44,16 @@ Solve = Callable[[Variation, Sequence[Known]], Trajectory]  # of a variation, fr
 Chunk = tuple[Sequence[Variation], Sequence[Known]]  # what is solved one after the other, and paths to start from
 Run = Callable[[list[Chunk]], Iterable[Iterable[Answer]]]
 Stated = TypeVar("Stated", BoundaryProblem, ControlProblem, BoundaryProblem | ControlProblem)
+
+
+def data_vector(problem: Problem) -> np.ndarray:
+    """All given numbers of a problem, its times first."""
+    return np.array([*problem.t_span, *(a for values in problem.given.values() for a in values if a is not None)])
+
+
+def nearest(values: np.ndarray, known: np.ndarray, spread: np.ndarray) -> int:
+    """Number of the row of `known` that is nearest to `values`, with distances in units of `spread`."""
+    return int(np.argmin(np.sum(((known - values) / or_one(spread)) ** 2, axis=1)))
 
 
 def varied(problem: Stated, variation: Variation) -> Stated:

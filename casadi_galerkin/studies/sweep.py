@@ -8,20 +8,22 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.neighboring_problems import jumps
+from casadi_galerkin.boundary.transcription import GraphCache, SecondVariation
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import VARIED, check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, File, Table, by_component
+from casadi_galerkin.solution.guess import relative_distance
 from casadi_galerkin.solution.path import plot_component
 from casadi_galerkin.solution.plotting import Pictured
 from casadi_galerkin.solution.progress import progress
@@ -34,7 +36,9 @@ from casadi_galerkin.studies.parallel import (
     Variation,
     answered,
     by_executor,
+    data_vector,
     here,
+    nearest,
     picklable,
     picklable_problem,
     solver_of,
@@ -169,7 +173,22 @@ class Sweep(Table, Pictured):
         """
         if not self._of_boundary_problems():
             raise ValueError("jumps between branches are told for boundary problems only")
-        return jumps(self._paths)
+        on_other_branch, indices = dict[int, int](), dict[int, int | None]()
+        graphs = GraphCache(cast(BoundaryProblem, self.problems[0]), by_rows)
+        places = {i: data_vector(path.problem) for i, path in self._paths.items()}
+        spread = np.ptp(list(places.values()), axis=0) if places else np.empty(0)
+        for i, path in self._paths.items():
+            problem = cast(BoundaryProblem, path.problem)
+            graph, before = graphs.for_problem(problem).transcription(path.method, path.t), list(indices)
+            variations = SecondVariation(graph, problem, path.polynomial, path.integral_multipliers)
+            indices[i] = variations.negative()  # it changes along a family at conjugate points only
+            if before:
+                neighbor = before[nearest(places[i], np.array([places[k] for k in before]), spread)]
+                own, bent = path.polynomial.values, graph.guess_on_mesh(self._paths[neighbor], path.t).values
+                away = min(relative_distance(own, bent), relative_distance(bent, own))  # either may be nearly zero
+                if indices[i] != indices[neighbor] or away > 1:
+                    on_other_branch[i] = neighbor
+        return on_other_branch
 
     def _of_boundary_problems(self) -> bool:
         return all(isinstance(problem, BoundaryProblem) for problem in self.problems)

@@ -11,12 +11,16 @@ import casadi_galerkin as cg
 CRITICAL = (np.pi * np.arange(1, 4)) ** 2  # loads of a rod of length one
 
 
-def rod(load=5.0, clamped=False, friction=0.0):
+def rod(load=5.0, clamped=False, friction=0.0, unit=1.0):
     """x is the angle of a rod under a load, given at both ends or, at pinned ends, free."""
     force = (lambda s, x, v, p: -friction * v) if friction else None
     ends = ([0.0], [0.0]) if clamped else ([None], [None])
     return cg.BoundaryProblem(
-        lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 1), *ends, parameters=[load], force=force
+        lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * unit**2 * ca.cos(x[0] / unit),
+        (0, 1),
+        *ends,
+        parameters=[load],
+        force=force,
     )
 
 
@@ -35,6 +39,15 @@ def test_loads_at_which_a_rod_buckles_are_found_to_rounding(clamped):
         mode = np.sin(k * np.pi * s) if clamped else np.cos(k * np.pi * s)
         shape = point.null_vector(s)[0]
         np.testing.assert_allclose(shape * np.sign(shape @ mode), mode, rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1e-9, 1e-6, 1e6])
+def test_branch_points_are_found_in_any_unit(unit):
+    """Where the path is zero, nothing but the equations tells how large a change is."""
+    branch = cg.continuation(rod(clamped=True, unit=unit), [50.0], intervals=12)
+    found = [point.parameters[0] for point in branch.branch_points]
+    np.testing.assert_allclose(found, CRITICAL[:2], rtol=1e-11, atol=0)
 
 
 @pytest.mark.slow
@@ -136,7 +149,6 @@ def test_where_the_index_changes_by_two_it_is_said():
     assert "something is missed" in str(branch)
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_of_carriers_problem_four_paths_are_one_component():
     """They meet in one fold, and in a pitchfork on the branch of the symmetric ones."""
