@@ -29,7 +29,7 @@ from casadi_galerkin.control.control_places import all_places, linear
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import PointMap, one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.phases import Phases, joined_sections, sections, times_free
+from casadi_galerkin.problems.phases import Phases, parted, times_free
 
 ROUNDOFF_ONLY = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
 # part of the cost of a change as large as the path itself above which the cost measures its own errors: the cost of a
@@ -87,8 +87,8 @@ class ControlGraph:
     def __init__(
         self, problem: ControlProblem | Phases, method: Galerkin, mesh: np.ndarray, mapping: PointMap = one_by_one
     ) -> None:
-        phases, several = phases_of(problem), isinstance(problem, Phases)
-        self.joins = problem.joins if isinstance(problem, Phases) else joined_sections(problem, phases)
+        parts = parted(problem)
+        phases, self.joins = parts.phases, parts.joins
         free = len(phases) > 1 and times_free(phases)
         chains = [Chain(phase, method, one, free) for phase, one in zip(phases, meshes_of(phases, mesh), strict=True)]
         ends = np.cumsum([len(chain.unknown_stages) for chain in chains])
@@ -96,7 +96,7 @@ class ControlGraph:
             Field(f"join {i}", join.words, f"join {i}", range(join.rows), float(ends[join.after] - 1 - ends[-1]))
             for i, join in enumerate(self.joins.each)
         ]
-        numbering = self.numbering = Numbering(chains, fields, not several)
+        numbering = self.numbering = Numbering(chains, fields, parts.whole is not None)
         self.places, self.matrix, self._test = all_places(phases, self.joins, numbering, mapping)
         self._linear, count = linear(numbering), numbering.unknowns
         self.unknowns, self.data = ca.MX.sym("unknowns", count), ca.MX.sym("data", numbering.size - count)
@@ -265,11 +265,6 @@ class ControlGraph:
             sizes[chain.motions] = np.where(at_rest, canceled, moving)[chain.motions]
         size = max(abs(cost.item()), LEAST_COST * of_changes.item())
         return Report(cost.item(), size, costs, actions, equations, sizes, slope, hamiltonian, starts)
-
-
-def phases_of(problem: ControlProblem | Phases) -> Sequence[ControlProblem]:
-    """The phases into which a problem is parted."""
-    return problem.phases if isinstance(problem, Phases) else sections(problem)
 
 
 def meshes_of(phases: Sequence[ControlProblem], mesh: np.ndarray) -> list[np.ndarray]:

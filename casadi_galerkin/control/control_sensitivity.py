@@ -30,7 +30,7 @@ from casadi_galerkin.control.program_bounds import bounds_of, equation_scales
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
-from casadi_galerkin.problems.phases import joined_sections, sections
+from casadi_galerkin.problems.phases import parted
 from casadi_galerkin.problems.problem import with_values
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solvers.linear_solver import all_finite, factors_of
@@ -158,11 +158,11 @@ def data_of(problem: ControlProblem, numbers: Numbering, p: np.ndarray, names: S
 
 def given_by(problem: ControlProblem, numbers: Numbering, p: np.ndarray, implied: bool = False) -> list[np.ndarray]:
     """The p of a problem, where other numbers of it are fixed, and its bounds; `implied` as for `bounds_of`."""
-    phases, p = sections(problem), p.copy()
-    for phase, chain in zip(phases, numbers.chains, strict=True):
+    parts, p = parted(problem), p.copy()
+    for phase, chain in zip(parts.phases, numbers.chains, strict=True):
         if "parameters" not in chain.free and phase.parameters is not None:
             p[chain.fields["parameters"][0] - numbers.unknowns] = phase.parameters
-    bounds = bounds_of(phases, joined_sections(problem, phases), numbers, implied)
+    bounds = bounds_of(parts.phases, parts.joins, numbers, implied)
     return [p, *bounds.unknowns, *bounds.equations]
 
 

@@ -26,7 +26,7 @@ from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.control_answer import answer
-from casadi_galerkin.control.control_graph import ControlGraph, meshes_of, phases_of
+from casadi_galerkin.control.control_graph import ControlGraph, meshes_of
 from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
 from casadi_galerkin.control.initial_guess import StartingPoint, starting_point
 from casadi_galerkin.control.optimizer import (
@@ -55,7 +55,7 @@ from casadi_galerkin.problems.bounds import FEASIBLE, Limit
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.control_rules import determined
-from casadi_galerkin.problems.phases import Phases
+from casadi_galerkin.problems.phases import Phases, parted
 from casadi_galerkin.problems.statements import check
 from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory, OptimalPath
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -108,7 +108,7 @@ class ControlTranscription:
         _check_steps(mesh)
         if isinstance(problem, ControlProblem):
             check(problem, (determined,))
-        self.phases = phases_of(problem)
+        self.phases = parted(problem).phases
         for phase in self.phases:
             check_points(phase.constraint, method)
         with fork_waits:
@@ -243,7 +243,7 @@ class ControlTranscription:
 
         The inertia that IPOPT itself finds in its last step leaves no doubt about most minima, which then cost nothing.
         """
-        numbers, phases = self.numbering, phases_of(problem)
+        numbers, phases = self.numbering, parted(problem).phases
         bounds = self.bounds if problem is self.problem else bounds_of(phases, self.joins, numbers)
         unknowns, data = numbers.pack(start.values)
 

@@ -209,7 +209,7 @@ class BoundaryProblem(Problem):
     _: KW_ONLY
     parameters: statements.NumbersOrNone = Statement(statements.read_parameters, None)
     periodic: statements.Switch = Statement(statements.read_switch, False)
-    force: statements.FunctionOrNone = statements.function("t x v", "x")
+    force: statements.FunctionOrNone = statements.function("t x v", "dimension")
     constraint: statements.FunctionOrNone = statements.function("t x", "any")
     start_velocity: statements.Components = Statement(statements.vector, None)
     end_velocity: statements.Components = Statement(statements.vector, None)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -26,9 +26,6 @@ from casadi_galerkin.problems.callables import depends_on_time
 from casadi_galerkin.problems.expressions import POSITIONS, depends_on_free, rows_that_depend, sizes_of_terms
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
-
-if TYPE_CHECKING:
-    from casadi_galerkin.problems.control_problem import ControlProblem
 
 CONSTRAINT_TOLERANCE = 1e-12  # accepted violation by a given position or velocity, relative to the terms of g
 # Violation of a constraint between the nodes, over the change of g along the path, from which a path is refused.  One
@@ -262,7 +259,7 @@ def check_points(constraint: ca.Function | None, method: Galerkin) -> None:
         )
 
 
-def equations_of_motion(problem: ControlProblem) -> ca.Function:
+def equations_of_motion(problem: Any) -> ca.Function:
     """(t, x, v, u, multipliers of the constraint) -> what the equations of motion are of, and its time derivative.
 
     For a mechanical component these are ∂L/∂v, and ∂L/∂x + F with the constraint's force; for one that follows a rate,

@@ -24,7 +24,7 @@ from casadi_galerkin.calculus.numbers import components as checked_components
 from casadi_galerkin.calculus.numbers import counted, times_inside, whole_number
 from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.bounds import Limited
-from casadi_galerkin.problems.callables import depends_on_time, left_out, of_zeros
+from casadi_galerkin.problems.callables import depends_on_time, left_out
 from casadi_galerkin.problems.control_rules import RULES, RULES_OF_VALUES
 from casadi_galerkin.problems.expressions import (
     CONTROLS,
@@ -38,40 +38,6 @@ from casadi_galerkin.problems.expressions import (
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import Problem, is_given, section_times, with_values
 from casadi_galerkin.problems.statements import Statement, is_limited, optional, plain
-
-
-def _stated(name: str, value: Any, problem: ControlProblem, none: int, rows: int | str) -> ca.Function:
-    """A callable of (t, x, v, u), or so many zeros where it is left out."""
-    if left_out(value):
-        return of_zeros(name, statements.lengths("t x v u", problem), none)
-    return statements.traced(name, value, "t x v u", rows, problem)
-
-
-def _rates(name: str, value: Any, problem: ControlProblem) -> ca.Function:
-    """Rates of the last components, as many as there are values."""
-    rates, d = _stated(name, value, problem, 0, "any"), problem.dimension
-    if rates.numel_out(0) > d:
-        raise ValueError(
-            f"rates must be those of at most all {counted(d, 'component')}, got {rates.numel_out(0)} values"
-        )
-    return rates
-
-
-def _mechanics(name: str, value: Any, problem: ControlProblem) -> ca.Function:
-    """The Lagrangian and the force move the components without rates; without any, neither is given."""
-    count, d, given = problem.mechanical, problem.dimension, not left_out(value)
-    if given and not count:
-        raise ValueError(f"all components follow rates: leave out {name}, got {value!r}")
-    if name == "force":
-        return _stated(name, value, problem, count, count)
-    if given:
-        return statements.lagrangian(name, value, problem)
-    if count:
-        first = ", ".join(f"x[{i}]" for i in range(count))
-        raise ValueError(
-            f"nothing moves {first}: give a lagrangian, or rates of all {counted(d, 'component')}, got {d - count}"
-        )
-    return of_zeros(name, statements.lengths("t x v", problem), 1)
 
 
 def _breakpoints(name: str, value: Any, problem: ControlProblem) -> tuple[float, ...]:
@@ -169,16 +135,14 @@ class ControlProblem(Problem):
     (1.0,)
     """
 
-    lagrangian: statements.Lagrangian = Statement(_mechanics, None)
+    lagrangian: statements.Lagrangian = Statement(statements.lagrangian, None)
     t_span: statements.Span = Statement(statements.read_span, None)
     start: statements.Components = Statement(_start, None)
     end: statements.Components = Statement(statements.vector, None)
     start_velocity: statements.Components = Statement(statements.vector, None)
     end_velocity: statements.Components = Statement(statements.vector, None)
-    force: statements.Lagrangian = Statement(_mechanics, None)
-    running_cost: statements.Lagrangian = Statement(
-        lambda name, value, problem: _stated(name, value, problem, 1, "scalar"), None
-    )
+    force: statements.Lagrangian = statements.function("t x v u", "mechanical", zeros=True)
+    running_cost: statements.Lagrangian = statements.function("t x v u", "scalar", zeros=True)
     controls: statements.Count = Statement(plain(partial(whole_number, least=0)), 0)
     terminal_cost: statements.FunctionOrNone = statements.function("t x v", "scalar")
     control_bounds: statements.Within = statements.within("controls")
@@ -189,7 +153,7 @@ class ControlProblem(Problem):
     )
     parameters: statements.NumbersOrNone = Statement(statements.read_parameters, None)
     parameter_bounds: statements.WithinOrNone = statements.sides(lambda problem: len(problem.parameters or ()))
-    rates: statements.Lagrangian = Statement(_rates, None)
+    rates: statements.Lagrangian = statements.function("t x v u", "any", zeros=True)
     end_conditions: statements.LimitedValues = statements.limited("x0 v0 x1 v1")
     breakpoints: statements.Times = Statement(_breakpoints, ())
     waypoints: statements.Waypoints = Statement(statements.read_waypoints, ())
@@ -264,7 +228,10 @@ class ControlProblem(Problem):
     @property
     def mechanical(self) -> int:
         """Number of components that have an equation of motion; the others follow rates."""
-        return self.dimension - self.rates.numel_out(0)
+        d, rated = self.dimension, self.rates.numel_out(0)
+        if rated > d:
+            raise ValueError(f"rates must be those of at most all {counted(d, 'component')}, got {rated} values")
+        return d - rated
 
     @cached_property
     def limits_of_ends(self) -> list[list[int]]:

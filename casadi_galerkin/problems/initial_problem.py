@@ -58,7 +58,7 @@ class InitialProblem(Problem):
     momentum: statements.NumbersOrNone = Statement(optional(statements.whole_vector), None)
     velocity: statements.NumbersOrNone = Statement(optional(statements.whole_vector), None)
     parameters: statements.NumbersOrNone = Statement(statements.read_parameters, None)
-    force: statements.FunctionOrNone = statements.function("t x v", "x")
+    force: statements.FunctionOrNone = statements.function("t x v", "dimension")
     constraint: statements.FunctionOrNone = statements.function("t x", "any")
     breakpoints = ()  # which other problems have
     rules, rules_of_values = (impossible_constraint,), (constraint_at_ends, _stateless)

@@ -9,21 +9,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.bounds import FEASIBLE, Limit, Limited, bounds
-from casadi_galerkin.problems.callables import Traceable, of_zeros, trace
+from casadi_galerkin.problems.callables import Rows, Traceable, of_zeros, trace
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.expressions import entries_of, values_given
-from casadi_galerkin.problems.problem import ENDS, with_values
-from casadi_galerkin.problems.statements import is_limited, jump, lengths, read_limited
+from casadi_galerkin.problems.problem import ENDS, Stated, with_values
+from casadi_galerkin.problems.statements import Statement, is_limited, optional, read_limited
 
-NOTHING = ca.Function("joins", [], [ca.SX(0, 1)])
 Link: TypeAlias = Traceable | tuple[Traceable, Limit, Limit] | None
 
 
@@ -67,9 +68,9 @@ class Joins:
     cost : Function, or None
     """
 
-    each: tuple[Join, ...] = ()
-    conditions: Limited = (NOTHING, (), ())
-    cost: ca.Function | None = None
+    each: tuple[Join, ...]
+    conditions: Limited
+    cost: ca.Function | None
 
 
 def _sizes(phases: Sequence[ControlProblem]) -> dict[str, int]:
@@ -93,83 +94,55 @@ def times_free(phases: Sequence[ControlProblem]) -> bool:
     return any((phase.duration_bounds or phase.initial_time_bounds) is not None for phase in phases)
 
 
-def _joined(
-    phases: Sequence[ControlProblem],
-    symbols: Sequence[ca.SX],
-    links: Sequence[ca.Function | Limited | None],
-    others: Sequence[Join],
-    cost: ca.Function | None = None,
-) -> Joins:
-    """What links each phase to the next, by a law, by conditions or by continuity, and what others say."""
-    ends, joins = _ends(symbols), list[Join]()
-    for k, ((before, after), link, phase) in enumerate(zip(pairwise(ends), links, phases, strict=False)):
-        p = [] if phase.parameters is None else [before.p]
-        if times_free(phases):
-            joins.append(Join(f"the time at which phase {k + 1} begins", k, after.t0 - before.t1))
-        if isinstance(link, tuple):
-            rows = link[0](before.x1, before.v1, after.x0, after.v0, *p)
-            joins.append(Join(f"condition {{}} of link {k}", k, rows, link[1:]))
+def _consecutive(_: str, phases: Any, __: Phases) -> tuple[ControlProblem, ...]:
+    """Control problems of which each begins when the one before ends."""
+    if not isinstance(phases, (tuple, list)) or len(phases) < 2:
+        raise ValueError(f"phases must be two or more ControlProblems, got {phases!r}")
+    made = list[ControlProblem]()
+    for k, phase in enumerate(phases):
+        if not isinstance(phase, ControlProblem):
+            raise TypeError(f"phase {k} must be a ControlProblem, got {type(phase).__name__}")
+        end = made[-1].t_span[1] if made else phase.t_span[0]
+        if abs(phase.t_span[0] - end) > 4 * EPS * max(map(abs, phase.t_span)):
+            raise ValueError(f"phase {k} must begin when phase {k - 1} ends, at t = {end}, got t_span {phase.t_span}")
+        made.append(with_values(phase, t_span=(end, phase.t_span[1])))  # without rounding
+    return tuple(made)
+
+
+def _links(_: str, links: Any, problem: Phases) -> tuple[ca.Function | Limited | None, ...]:
+    """What links each phase to the next: a law (x, v[, p]) -> x, v, conditions, or None."""
+    count, made = len(problem.phases) - 1, list[ca.Function | Limited | None]()
+    links = [None] * count if links is None else links
+    if not isinstance(links, (tuple, list)) or len(links) != count:
+        raise ValueError(f"links must be {count}, one for every phase but the last, got {links!r}")
+    for k, (link, (one, other)) in enumerate(zip(links, pairwise(problem.phases), strict=True)):
+        name = f"link {k}"
+        if callable(link):
+            made.append(statements.jump(name, link, one, other))
+        elif link is not None:
+            made.append(read_limited(name, link, statements.lengths("x v x_after v_after", one, other), trace))
+        elif one.dimension == other.dimension:
+            made.append(None)
         else:
-            x, v = (before.x1, before.v1) if link is None else link(before.x1, before.v1, *p)
-            gaps = {"x": after.x0 - x, "v": (after.v0 - v)[: phases[k + 1].mechanical]}
-            joins += [Join(f"the continuity of {name}[{{}}]", k, gap) for name, gap in gaps.items()]
-    joins = [join for join in [*joins, *others] if join.rows.numel()]
-    rows = ca.densify(ca.vertcat(*(join.rows for join in joins)))
-    sides = [join.sides or ((0.0,) * join.rows.numel(),) * 2 for join in joins]
-    low, high = (tuple(side for pair in sides for side in pair[k]) for k in (0, 1))
-    conditions = ca.Function("joins", symbols, [rows], list(_sizes(phases)), ["value"]), low, high
-    return Joins(tuple(join._replace(rows=join.rows.numel(), sides=None) for join in joins), conditions, cost)
+            raise ValueError(
+                f"phase {k} has {counted(one.dimension, 'component')}, and phase {k + 1} has {other.dimension}: give a "
+                f"law (x, v) -> (x, v) as {name}"
+            )
+    return tuple(made)
 
 
-def sections(problem: ControlProblem) -> list[ControlProblem]:
-    """The phases of a problem, which end at jumps, at conditions, and, where durations are free, at all breakpoints."""
-    free, events = problem.duration_bounds is not None, {*dict(problem.jumps), *problem.conditions_on_the_way}
-    times = [t for t in problem.breakpoints if free or t in events]
-    if not times:
-        return [problem]
-    d, stated = problem.dimension, problem.end_conditions[0]
-    at_start, at_end = ("start", "start_velocity"), ("end", "end_velocity")
-    inner: dict[str, Any] = dict.fromkeys((*at_start, *at_end), (None,) * d)
-    inner |= dict.fromkeys(("terminal_cost", "initial_cost", "initial_time_bounds"))
-    nothing = of_zeros("end_conditions", {stated.name_in(i): stated.size1_in(i) for i in range(stated.n_in())}, 0)
-    inner |= {"start_bounds": bounds("start_bounds", None, d), "jumps": (), "limits_of_ends": [[], []]}
-    inner["end_conditions"] = nothing, (), ()
-    places = [place for place in problem.waypoints if not is_limited(place[1])]
-    phases = list[ControlProblem]()
-    for k, (begin, end) in enumerate(pairwise([problem.t_span[0], *times, problem.t_span[1]])):
-        kept: tuple[str, ...] = (*at_start, "initial_cost", "initial_time_bounds", "start_bounds") if k == 0 else ()
-        kept = (*at_end, "terminal_cost") if k == len(times) else kept
-        of_phase = inner | {name: getattr(problem, name) for name in kept}
-        of_phase["breakpoints"] = tuple(t for t in problem.breakpoints if begin < t < end)
-        of_phase["waypoints"] = tuple(place for place in places if begin < place[0] <= end)
-        of_phase["duration_bounds"] = problem.duration_bounds and tuple((side[k],) for side in problem.duration_bounds)
-        phases.append(with_values(problem, t_span=(begin, end), **of_phase))
-    return phases
+def _of_ends(name: str, function: Any, sizes: Mapping[str, int], rows: Rows) -> ca.Function:
+    """Trace a callable of the ends of every phase as one of all their parts, one after the other."""
+
+    def of_parts(*given: ca.SX) -> Any:  # but for those that are empty
+        parts = iter(given)
+        return function(*_ends([next(parts) if size else ca.SX(0, 1) for size in sizes.values()]))
+
+    return trace(name, of_parts if callable(function) else function, sizes, rows)
 
 
-def joined_sections(problem: ControlProblem, phases: Sequence[ControlProblem]) -> Joins:
-    """What joins the phases of one problem: jumps or continuity, waypoints that are functions, and end conditions."""
-    if len(phases) == 1:
-        return Joins()
-    jumps, conditions, joins = dict(problem.jumps), problem.conditions_on_the_way, list[Join]()
-    times = [phase.t_span[1] for phase in phases[:-1]]
-    symbols = [ca.SX.sym(name, size) for name, size in _sizes(phases).items()]
-    ends = _ends(symbols)
-    given = [[] if problem.parameters is None else [end.p] for end in ends]
-    for k, (t, (before, after)) in enumerate(zip(times, pairwise(ends), strict=True)):
-        if t in conditions:
-            g, *sides = conditions[t]
-            joins.append(Join("condition {}", k, g(before.x1, before.v1, *given[k]), sides))
-        if problem.parameter_bounds is not None:
-            joins.append(Join("the continuity of p[{}]", k, after.p - before.p))
-    g, *sides = problem.conditions_at_ends
-    rows = g(ends[0].x0, ends[0].v0, ends[-1].x1, ends[-1].v1, *given[-1])
-    joins.append(Join("end condition {}", len(times), rows, sides))
-    return _joined(phases, symbols, [jumps.get(t) for t in times], joins)
-
-
-@dataclass(frozen=True, init=False, repr=False)
-class Phases:
+@dataclass(frozen=True, repr=False)
+class Phases(Stated):
     """Control problems on consecutive spans of time, solved as one; each has a statement of its own.
 
     The cost is the sum of theirs.  Where a duration is free, the phases after it begin when it ends.
@@ -204,30 +177,54 @@ class Phases:
     (0.75, [[1.0, 0.0, 2.0]], 2)
     """
 
-    phases: tuple[ControlProblem, ...]
-    links: tuple[ca.Function | Limited | None, ...]
-    joins: Joins
+    phases: Statement[Sequence[ControlProblem], tuple[ControlProblem, ...]] = Statement(_consecutive)
+    links: Statement[Sequence[Link] | None, tuple[ca.Function | Limited | None, ...]] = Statement(_links, None)
+    conditions: statements.LimitedOrNone = Statement(
+        optional(lambda name, value, problem: read_limited(name, value, _sizes(problem.phases), _of_ends)), None
+    )
+    cost: statements.FunctionOrNone = Statement(
+        optional(lambda name, value, problem: _of_ends(name, value, _sizes(problem.phases), "scalar")), None
+    )
+    whole: ClassVar[ControlProblem | None] = None  # that is parted into these
 
-    def __init__(
-        self,
-        phases: Sequence[ControlProblem],
-        links: Sequence[Link] | None = None,
-        conditions: tuple[Traceable, Limit, Limit] | None = None,
-        cost: Traceable | None = None,
-    ) -> None:
-        self.__dict__["phases"] = _consecutive(phases)  # the class is frozen
-        count, sizes = len(self.phases) - 1, _sizes(self.phases)
-        links = [None] * count if links is None else links
-        if not isinstance(links, (tuple, list)) or len(links) != count:
-            raise ValueError(f"links must be {count}, one for every phase but the last, got {links!r}")
-        total = None if cost is None else trace("cost", _of_ends(cost, sizes), sizes, "scalar")
-        symbols, others = [ca.SX.sym(name, size) for name, size in sizes.items()], list[Join]()
-        if conditions is not None:
-            name = "conditions"
-            g, *sides = read_limited(name, conditions, lambda g: trace(name, _of_ends(g, sizes), sizes, "any"))
-            others.append(Join("condition {} on the phases", count, g(*symbols), sides))
-        self.__dict__["links"] = tuple(_link(self.phases, k, link) for k, link in enumerate(links))
-        self.__dict__["joins"] = _checked(self.phases, _joined(self.phases, symbols, self.links, others, total))
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        vars(self)["joins"] = _checked(self)
+
+    @cached_property
+    def joins(self) -> Joins:
+        """What links each phase to the next, by a law, by conditions or by continuity, and what else is said."""
+        symbols, joins, whole = [ca.SX.sym(*size) for size in _sizes(self.phases).items()], list[Join](), self.whole
+        ends, on_the_way = _ends(symbols), {} if whole is None else whole.conditions_on_the_way
+        for k, ((before, after), link, phase) in enumerate(zip(pairwise(ends), self.links, self.phases, strict=False)):
+            p = [] if phase.parameters is None else [before.p]
+            if times_free(self.phases):
+                joins.append(Join(f"the time at which phase {k + 1} begins", k, after.t0 - before.t1))
+            if phase.t_span[1] in on_the_way:
+                g, *sides = on_the_way[phase.t_span[1]]
+                joins.append(Join("condition {}", k, g(before.x1, before.v1, *p), sides))
+            if whole is not None and whole.parameter_bounds is not None:
+                joins.append(Join("the continuity of p[{}]", k, after.p - before.p))
+            if isinstance(link, tuple):
+                rows = link[0](before.x1, before.v1, after.x0, after.v0, *p)
+                joins.append(Join(f"condition {{}} of link {k}", k, rows, link[1:]))
+            else:
+                x, v = (before.x1, before.v1) if link is None else link(before.x1, before.v1, *p)
+                gaps = {"x": after.x0 - x, "v": (after.v0 - v)[: self.phases[k + 1].mechanical]}
+                joins += [Join(f"the continuity of {name}[{{}}]", k, gap) for name, gap in gaps.items()]
+        if whole is not None and self.links:
+            (g, *sides), p = whole.conditions_at_ends, [] if whole.parameters is None else [ends[-1].p]
+            rows = g(ends[0].x0, ends[0].v0, ends[-1].x1, ends[-1].v1, *p)
+            joins.append(Join("end condition {}", len(self.links), rows, sides))
+        if self.conditions is not None:
+            g, *sides = self.conditions
+            joins.append(Join("condition {} on the phases", len(self.links), g(*symbols), sides))
+        joins = [join for join in joins if join.rows.numel()]
+        every = [join.sides or ((0.0,) * join.rows.numel(),) * 2 for join in joins]
+        low, high = (tuple(side for pair in every for side in pair[k]) for k in (0, 1))
+        rows = ca.densify(ca.vertcat(ca.SX(0, 1), *(join.rows for join in joins)))
+        conditions = ca.Function("joins", symbols, [rows], [*_sizes(self.phases)], ["value"]), low, high
+        return Joins(tuple(join._replace(rows=join.rows.numel(), sides=None) for join in joins), conditions, self.cost)
 
     @property
     def t_span(self) -> tuple[float, float]:
@@ -259,58 +256,46 @@ class Phases:
 
     def found(self, phases: Sequence[ControlProblem]) -> Phases:
         """Copy with phases at other times, and with other values, without checks."""
-        return with_values(self, phases=tuple(phases))  # type: ignore[type-var]
+        return with_values(self, phases=tuple(phases))
 
     def __repr__(self) -> str:
         """State the number of phases, and each of them."""
         return "\n".join([f"{counted(len(self.phases), 'phase')}:", *(f"  {phase!r}" for phase in self.phases)])
 
 
-def _consecutive(phases: Any) -> tuple[ControlProblem, ...]:
-    """Control problems of which each begins when the one before ends."""
-    if not isinstance(phases, (tuple, list)) or len(phases) < 2:
-        raise ValueError(f"phases must be two or more ControlProblems, got {phases!r}")
-    for k, phase in enumerate(phases):
-        if not isinstance(phase, ControlProblem):
-            raise TypeError(f"phase {k} must be a ControlProblem, got {type(phase).__name__}")
-        end = phases[k - 1].t_span[1] if k else phase.t_span[0]
-        if abs(phase.t_span[0] - end) > 4 * EPS * max(map(abs, phase.t_span)):
-            raise ValueError(f"phase {k} must begin when phase {k - 1} ends, at t = {end}, got t_span {phase.t_span}")
-    begins = [phases[0].t_span[0], *(phase.t_span[1] for phase in phases[:-1])]  # without rounding
-    return tuple(with_values(p, t_span=(begin, p.t_span[1])) for p, begin in zip(phases, begins, strict=True))
+def parted(problem: ControlProblem | Phases) -> Phases:
+    """The phases of a problem, which end at jumps, at conditions, and, where durations are free, at all breakpoints."""
+    if isinstance(problem, Phases):
+        return problem
+    free, events = problem.duration_bounds is not None, {*dict(problem.jumps), *problem.conditions_on_the_way}
+    times = [t for t in problem.breakpoints if free or t in events]
+    d, stated, phases = problem.dimension, problem.end_conditions[0], list[ControlProblem]()
+    at_start, at_end = ("start", "start_velocity"), ("end", "end_velocity")
+    inner: dict[str, Any] = dict.fromkeys((*at_start, *at_end), (None,) * d)
+    inner |= dict.fromkeys(("terminal_cost", "initial_cost", "initial_time_bounds"))
+    nothing = of_zeros("end_conditions", {stated.name_in(i): stated.size1_in(i) for i in range(stated.n_in())}, 0)
+    inner |= {"start_bounds": bounds("start_bounds", None, d), "jumps": (), "limits_of_ends": [[], []]}
+    inner["end_conditions"] = nothing, (), ()
+    for k, (begin, end) in enumerate(pairwise([problem.t_span[0], *times, problem.t_span[1]]) if times else ()):
+        kept: tuple[str, ...] = (*at_start, "initial_cost", "initial_time_bounds", "start_bounds") if k == 0 else ()
+        kept = (*at_end, "terminal_cost") if k == len(times) else kept
+        of_phase = inner | {name: getattr(problem, name) for name in kept}
+        of_phase["breakpoints"] = tuple(t for t in problem.breakpoints if begin < t < end)
+        places = (place for place in problem.waypoints if not is_limited(place[1]))
+        of_phase["waypoints"] = tuple(place for place in places if begin < place[0] <= end)
+        of_phase["duration_bounds"] = problem.duration_bounds and tuple((side[k],) for side in problem.duration_bounds)
+        phases.append(with_values(problem, t_span=(begin, end), **of_phase))
+    made, laws = object.__new__(Phases), dict(problem.jumps)
+    links = tuple(laws.get(t) for t in times)
+    vars(made).update(phases=tuple(phases or [problem]), links=links, conditions=None, cost=None, whole=problem)
+    return made
 
 
-def _of_ends(function: Any, sizes: Mapping[str, int]) -> Any:
-    """A callable of the ends of every phase as one of all their parts that are not empty, one after the other."""
-
-    def of_parts(*given: ca.SX) -> Any:
-        parts = iter(given)
-        return function(*_ends([next(parts) if size else ca.SX(0, 1) for size in sizes.values()]))
-
-    return of_parts if callable(function) else function
-
-
-def _link(phases: Sequence[ControlProblem], k: int, link: Link) -> ca.Function | Limited | None:
-    """What links phase k to the next: a law (x, v[, p]) -> x, v, conditions, or None."""
-    (one, other), name = phases[k : k + 2], f"link {k}"
-    if callable(link):
-        return jump(name, link, one, other)
-    if link is not None:
-        x, v, *p = lengths("x v", one).items()
-        sizes = dict([x, v, ("x_after", other.dimension), ("v_after", other.dimension), *p])
-        return read_limited(name, link, lambda g: trace(name, g, sizes, "any"))
-    if one.dimension != other.dimension:
-        raise ValueError(
-            f"phase {k} has {counted(one.dimension, 'component')}, and phase {k + 1} has {other.dimension}: give a law "
-            f"(x, v) -> (x, v) as {name}"
-        )
-    return None
-
-
-def _checked(phases: Sequence[ControlProblem], joins: Joins) -> Joins:
+def _checked(problem: Phases) -> Joins:
     """What joins phases, without the rows that given values fulfil; refuses rows that depend on nothing else."""
-    values, moving, (g, low, high) = list[np.ndarray](), False, joins.conditions
-    for k, phase in enumerate(phases):
+    joins, values, moving = problem.joins, list[np.ndarray](), False
+    g, low, high = joins.conditions
+    for k, phase in enumerate(problem.phases):
         (t0, x0, v0, p), (t1, x1, v1, _) = phase.given_at_ends.values()
         begin, moving = np.where(moving, np.nan, t0), moving or bool(np.isnan(t1))
         values += [begin, x0, v0, np.where(moving, np.nan, t1), x1, v1, p]

@@ -22,7 +22,27 @@ UNSAID = "lagrangian", "t_span", "components"  # by the summary of a problem
 VARIED = (*ENDS, "parameters", *END_MOTIONS, "integral_values", "energy")  # what can be varied, where a problem has it
 
 
-class Problem:
+class Stated:
+    """What is made of statements: all of them are read, and then looked at by rules.
+
+    Attributes
+    ----------
+    rules : what is looked at when it is made
+    """
+
+    rules: ClassVar[Sequence[Rule]] = ()
+
+    def __post_init__(self) -> None:
+        given = vars(self).copy()
+        vars(self).clear()
+        vars(self)["_given"] = given  # until all of it is read; the classes are frozen
+        for name in sorted(given, key=lambda name: callable(given[name])):  # numbers first: they tell what these take
+            getattr(self, name)
+        del vars(self)["_given"]
+        check(self, self.rules)
+
+
+class Problem(Stated):
     """What all problems state; answers keep the problem that they solve.
 
     Attributes
@@ -33,8 +53,7 @@ class Problem:
     parameters : values of p, or None
     t_span : times of the ends
     breakpoints : times of joints that every mesh has
-    rules, rules_of_values, rules_of_masses : what is looked at when it is made; the second also where other values are
-        given, the third where other parameters are
+    rules_of_values, rules_of_masses : what is looked at also where other values, or other parameters, are given
     """
 
     lagrangian: Statement[Any, ca.Function]
@@ -44,19 +63,12 @@ class Problem:
     t_span: Statement[Any, tuple[float, float]]
     start: Statement[Any, tuple[Any, ...]]
     breakpoints: Statement[Any, tuple[float, ...]]
-    rules: ClassVar[Sequence[Rule]]
     rules_of_values: ClassVar[Sequence[Rule]]
     rules_of_masses: ClassVar[Sequence[Rule]] = ()
 
     def __post_init__(self) -> None:
-        """Read all statements, and refuse what is wrong with them."""
-        given = vars(self).copy()
-        vars(self).clear()
-        vars(self)["_given"] = given  # until all of it is read; the classes are frozen
-        for name in sorted(given, key=lambda name: callable(given[name])):  # numbers first: they tell what these take
-            getattr(self, name)
-        del vars(self)["_given"]
-        check(self, (*self.rules, *self.rules_of_values, *self.rules_of_masses))
+        super().__post_init__()
+        check(self, (*self.rules_of_values, *self.rules_of_masses))
 
     def __repr__(self) -> str:
         """State the problem; its callables by their names alone."""
@@ -101,7 +113,7 @@ class Problem:
         return ends
 
     @property
-    def numeric(self: Stated) -> Stated:
+    def numeric(self: Made) -> Made:
         """The problem with the values of its parameters put into its callables, which no longer take any."""
         if self.parameters is None:
             return self
@@ -113,11 +125,11 @@ class Problem:
 
         return with_values(self, **{name: put(value) for name, value in vars(self).items()} | {"parameters": None})
 
-    def with_multipliers(self: Stated, _: Sequence[float] | None = None) -> Stated:
+    def with_multipliers(self: Made, _: Sequence[float] | None = None) -> Made:
         """The problem with multipliers in place of integral conditions, which most problems do not have."""
         return self
 
-    def varied(self: Stated, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> Stated:
+    def varied(self: Made, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> Made:
         """Copy with other given values.
 
         Parameters
@@ -155,7 +167,8 @@ class Problem:
         return given
 
 
-Stated = TypeVar("Stated", bound=Problem)
+Copied = TypeVar("Copied", bound=Stated)
+Made = TypeVar("Made", bound=Problem)
 
 
 def is_given(value: object) -> bool:
@@ -184,7 +197,7 @@ def check_kind(problem: object, *kinds: type) -> None:
         raise TypeError(f"problem must be a {expected}, got {type(problem).__name__}")
 
 
-def with_values(problem: Stated, **values: Any) -> Stated:
+def with_values(problem: Copied, **values: Any) -> Copied:
     """Copy with other values of some fields, already checked; unlike ``dataclasses.replace`` it traces nothing anew."""
     other = copy(problem)
     vars(other).update(values)

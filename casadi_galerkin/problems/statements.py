@@ -7,8 +7,8 @@ expected.  A rule looks at the problem that results, and yields what is wrong wi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import wraps
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial, wraps
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeGuard, TypeVar
 
 import casadi as ca
@@ -26,9 +26,10 @@ from casadi_galerkin.calculus.numbers import (
     times_inside,
 )
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, keeps_to
-from casadi_galerkin.problems.callables import Rows, Traceable, left_out, of_zeros, trace
+from casadi_galerkin.problems.callables import Traceable, left_out, of_zeros, trace
+from casadi_galerkin.problems.expressions import VELOCITIES, entries_of
 
-VELOCITIES = "v", "v0", "v1"
+NAMES_OF_VELOCITIES = "v", "v0", "v1"
 
 Given = TypeVar("Given", contravariant=True)
 Kept = TypeVar("Kept", covariant=True)
@@ -84,6 +85,7 @@ Within: TypeAlias = Statement[tuple[Limit, Limit] | None, Bounds]
 WithinOrNone: TypeAlias = Statement[tuple[Limit, Limit] | None, Bounds | None]
 Waypoints: TypeAlias = Statement[Sequence[Waypoint], tuple[tuple[float, Pairs | Limited], ...]]
 Jumps: TypeAlias = Statement[Sequence[tuple[float, Traceable]], tuple[tuple[float, ca.Function], ...]]
+LimitedOrNone: TypeAlias = Statement[tuple[Traceable, Limit, Limit] | None, Limited | None]
 LimitedValues: TypeAlias = Statement[tuple[Traceable, Limit, Limit] | None, Limited]
 
 
@@ -123,59 +125,75 @@ def times(name: str, value: Any, problem: Any) -> tuple[float, ...]:
     return times_inside(name, value, problem.t_span)
 
 
-def lengths(names: str, problem: Any) -> dict[str, int]:
-    """Lengths of the arguments of a callable, by name; the parameters come last."""
-    d, others, p = problem.dimension, {"t": 1, "u": getattr(problem, "controls", 0)}, problem.parameters
-    return {name: others.get(name, d) for name in names.split()} | ({} if p is None else {"p": len(p)})
+def lengths(names: str, problem: Any, after: Any = None) -> dict[str, int]:
+    """Lengths of the arguments of a callable, by name; those after a jump are of another problem, and p comes last."""
+    known, p = {"t": 1, "u": getattr(problem, "controls", 0)}, problem.parameters
+    known |= {} if after is None else dict.fromkeys(("x_after", "v_after"), after.dimension)
+    d, last = problem.dimension, {} if p is None else {"p": len(p)}
+    return {name: known.get(name, d) for name in names.split()} | last
 
 
-def traced(name: str, value: Any, names: str, rows: Any, problem: Any) -> ca.Function:
+def traced(name: str, value: Any, sizes: Mapping[str, int], rows: Any, problem: Any) -> ca.Function:
     """A callable of these arguments; it may leave out velocities where there is no Lagrangian."""
-    return trace(name, value, lengths(names, problem), rows, VELOCITIES if problem.first_order else ())
+    if rows == 0:
+        raise ValueError(f"all components follow rates: leave out {name}, got {value!r}")
+    return trace(name, value, sizes, rows, NAMES_OF_VELOCITIES if problem.first_order else ())
 
 
-def function(names: str, rows: Rows | str) -> FunctionOrNone:
-    """A callable of these arguments with values of these `rows`: "scalar", "any", or as many as "x" has."""
+def function(names: str, rows: str, zeros: bool = False) -> FunctionOrNone:
+    """A callable of these arguments; None where it is left out, or so many zeros.
+
+    Its values are a "scalar", a vector of "any" length, or as many as this attribute of the problem tells.
+    """
 
     def reader(name: str, value: Any, problem: Any) -> Any:
-        expected = problem.dimension if rows == "x" else rows
-        return None if value is None else traced(name, value, names, expected, problem)
+        sizes, count = lengths(names, problem), getattr(problem, rows, {"scalar": 1}.get(rows, 0))
+        if left_out(value):
+            return of_zeros(name, sizes, count) if zeros else None
+        return traced(name, value, sizes, getattr(problem, rows, rows), problem)
 
     return Statement(reader, None)
 
 
-def lagrangian(_: str, value: Any, problem: Any) -> ca.Function:
+def lagrangian(name: str, value: Any, problem: Any) -> ca.Function:
     """L(t, x, v[, p]), which depends on every v[i] of a component with an equation of motion, and on no others.
 
-    It need not depend on those that integrands of given integrals depend on.
+    It need not depend on those that integrands of given integrals depend on.  Without any such it is left out.
     """
-    function = trace("lagrangian", value, lengths("t x v", problem), "scalar")
-    count, conditions = problem.mechanical, getattr(problem, "integral_conditions", None)
-    used = set(function.sparsity_jac(2, 0).get_col())
-    given = set(conditions[0].sparsity_jac(2, 0).get_col()) if conditions else set()
+    count, d, conditions = problem.mechanical, problem.dimension, getattr(problem, "integral_conditions", None)
+    if problem.first_order and count:
+        first = ", ".join(f"x[{i}]" for i in range(count))
+        raise ValueError(
+            f"nothing moves {first}: give a lagrangian, or rates of all {counted(d, 'component')}, got {d - count}"
+        )
+    if problem.first_order:
+        return of_zeros(name, lengths("t x v", problem), 1)
+    L = traced(name, value, lengths("t x v", problem), count and "scalar", problem)
+    used = entries_of(L, VELOCITIES)
+    given = entries_of(conditions[0], VELOCITIES) if conditions else set()
     ignored = ", ".join(f"v[{i}]" for i in range(count) if i not in used | given)
     if ignored:
         rated = ", nor is its rate among the rates, which are those of the last components"
-        reason = f"without a velocity there is no equation of motion for it{rated * (count < problem.dimension)}"
+        reason = f"without a velocity there is no equation of motion for it{rated * (count < d)}"
         raise ValueError(f"the lagrangian ignores {ignored}: {reason}")
     for i in sorted(i for i in used if i >= count):
         raise ValueError(f"the lagrangian depends on v[{i}], but x[{i}] follows a rate and has no momentum")
-    return function
+    return L
 
 
 def integrals(name: str, value: Any, problem: Any) -> tuple[ca.Function, tuple[float, ...]]:
     """(g, values), a callable of t, x, v and the values of its integrals."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise TypeError(f"{name} must be (g, values), a callable g and the values of its integrals, got {value!r}")
-    g = traced(name, value[0], "t x v", "any", problem)
+    g = trace(name, value[0], lengths("t x v", problem), "any")
     return g, numbers(f"the values of {name}", value[1], g.numel_out(0))
 
 
-def read_limited(name: str, value: Any, function: Callable[[Any], ca.Function]) -> Limited:
-    """(g, lo, hi), a callable that a `function` traces, and the bounds of its values."""
+def read_limited(name: str, value: Any, sizes: Mapping[str, int], traced: Callable[..., ca.Function]) -> Limited:
+    """(g, lo, hi), a callable that is `traced` as one of arguments of these sizes, and the bounds of its values."""
     if not isinstance(value, (tuple, list)) or len(value) != 3:
         raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {value!r}")
-    g = function(value[0])
+    g = traced(name, value[0], sizes, "any")
     return g, *bounds(name, value[1:], g.numel_out(0))
 
 
@@ -183,9 +201,10 @@ def limited(names: str) -> LimitedValues:
     """(g, lo, hi), a callable of these arguments and the bounds of its values; without values where it is None."""
 
     def reader(name: str, value: Any, problem: Any) -> Limited:
+        sizes = lengths(names, problem)
         if value is None or (isinstance(value, tuple) and left_out(value[0])):
-            return of_zeros(name, lengths(names, problem), 0), (), ()
-        return read_limited(name, value, lambda g: traced(name, g, names, "any", problem))
+            return of_zeros(name, sizes, 0), (), ()
+        return read_limited(name, value, sizes, partial(traced, problem=problem))
 
     return Statement(reader, None)
 
@@ -288,7 +307,7 @@ def jump(name: str, law: Any, before: Any, after: Any) -> ca.Function:
             raise ValueError(f"it must return {counted(d, 'position')} and as many velocities, got {counts}")
         return ca.vertcat(*columns)
 
-    traced = trace(name, both, arguments, 2 * d, () if before.mechanical or after.mechanical else VELOCITIES)
+    traced = trace(name, both, arguments, 2 * d, () if before.mechanical or after.mechanical else NAMES_OF_VELOCITIES)
     symbols = traced.sx_in()
     position, velocity = ca.vertsplit(traced(*symbols), d)
     velocity[after.mechanical :] = 0.0
