@@ -14,12 +14,12 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import EPS, or_one
-from casadi_galerkin.control.control_graph import ControlGraph, meshes_of, phases_of
+from casadi_galerkin.control.control_graph import ControlGraph, meshes_of
 from casadi_galerkin.control.control_numbering import Chain, Numbering
 from casadi_galerkin.control.failed_optimization import refuse_not_finite
 from casadi_galerkin.control.optimizer import TOLERANCE
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.phases import Phases
+from casadi_galerkin.problems.phases import Phases, parted
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory, OptimalPath
@@ -62,7 +62,7 @@ def starting_point(
     between ends that differ by rounding, its terms there are far too small and set no limit.  The momenta of a guess
     are minus the residuals of the equations of the joints with momenta of zero.
     """
-    numbers, phases = graph.numbering, phases_of(problem)
+    numbers, phases = graph.numbering, parted(problem).phases
     calculi = [calculus]
     if len(phases) > 1:
         calculi = [DiscreteCalculus(calculus.method, mesh) for mesh in meshes_of(phases, calculus.mesh)]
