@@ -174,12 +174,13 @@ class Sweep(Table, Pictured):
         if not self._of_boundary_problems():
             raise ValueError("jumps between branches are told for boundary problems only")
         on_other_branch, indices = dict[int, int](), dict[int, int | None]()
-        graphs = GraphCache(cast(BoundaryProblem, self.problems[0]), by_rows)
+        graphs: GraphCache | None = None
         places = {i: data_vector(path.problem) for i, path in self._paths.items()}
         spread = np.ptp(list(places.values()), axis=0) if places else np.empty(0)
         for i, path in self._paths.items():
             problem = cast(BoundaryProblem, path.problem)
-            graph, before = graphs.for_problem(problem).transcription(path.method, path.t), list(indices)
+            graphs = GraphCache(problem, by_rows) if graphs is None else graphs.for_problem(problem)
+            graph, before = graphs.transcription(path.method, path.t), list(indices)
             variations = SecondVariation(graph, problem, path.polynomial, path.integral_multipliers)
             indices[i] = variations.negative()  # it changes along a family at conjugate points only
             if before:
