@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -28,7 +28,7 @@ from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.control_answer import answer
 from casadi_galerkin.control.control_graph import ControlGraph, meshes_of
 from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
-from casadi_galerkin.control.initial_guess import StartingPoint, starting_point
+from casadi_galerkin.control.initial_guess import starting_point
 from casadi_galerkin.control.optimizer import (
     BOUND_RELAXATION,
     Optimum,
@@ -60,7 +60,6 @@ from casadi_galerkin.problems.statements import check
 from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory, OptimalPath
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt, sqp
 
@@ -129,16 +128,12 @@ class ControlTranscription:
         start: Sequence[float | None] | None = None,
         end: Sequence[float | None] | None = None,
         *,
-        start_velocity: Sequence[float | None] | None = None,
-        end_velocity: Sequence[float | None] | None = None,
         parameters: Sequence[float] | None = None,
-        control_bounds: tuple[Limit, Limit] | None = None,
-        position_bounds: tuple[Limit, Limit] | None = None,
-        velocity_bounds: tuple[Limit, Limit] | None = None,
         guess: Guess | None = None,
         mesh: ArrayLike | None = None,
         solver: Solver = ipopt,
         verbose: int = 0,
+        **given: Sequence[float | None] | tuple[Limit, Limit] | None,
     ) -> ControlTrajectory:
         """Solve for the optimal path; whatever is left out is taken from the problem.
 
@@ -147,10 +142,8 @@ class ControlTranscription:
 
         Parameters
         ----------
-        start, end, start_velocity, end_velocity : d numbers each, with None exactly where the problem has None
+        start, end : d numbers each, with None exactly where the problem has None
         parameters : as many numbers as the problem has; where they are free, the guess
-        control_bounds, position_bounds, velocity_bounds : (lo, hi) each, as a problem states them; those of velocities
-            bound the same components
         guess : None (the straight line between the ends, and controls of zero, or in the middle of bounds unless zero
             is inside of these; where all components follow rates, as near to zero as bounds allow), anything
             `Transcription.solve` takes for the path, a tuple of that and a guess of the controls, or an earlier
@@ -164,6 +157,8 @@ class ControlTranscription:
         solver : ipopt, fatrop or sqp, with or without options; sqp for warm starts, in place of which others are
             ipopt's
         verbose : 1 prints a summary, 2 also the solver's own output
+        given : start_velocity and end_velocity, as start and end; control_bounds, position_bounds and velocity_bounds,
+            (lo, hi) each, as a problem states them; those of velocities bound the same components
 
         Raises
         ------
@@ -187,33 +182,20 @@ class ControlTranscription:
         check_solver(solver)
         check_verbose(verbose)
         calculus = self.calculus if mesh is None else self._remeshed(mesh)
-        given: dict[str, Any] = {"start": start, "end": end, "parameters": parameters, "control_bounds": control_bounds}
-        given |= {"start_velocity": start_velocity, "end_velocity": end_velocity}
-        given |= {"position_bounds": position_bounds, "velocity_bounds": velocity_bounds}
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
-        problem = self.problem.varied(given, span)
-
-        def attempt(by: Solver, at: Guess | None, longer: float = 1.0) -> Any:
-            begun = starting_point(self.graph, problem, calculus, at, longer)
-            if by.name != sqp.name or begun.duals:
-                return self._solved(by, problem, calculus, begun, verbose, began)
-            found = self._solved(ipopt, problem, calculus, begun, verbose, began)
-            return replace(found, solver=f"{found.solver}, as sqp begins from an answer of the same layout")
-
-        attempts, other = [("from the guess", partial(attempt, solver, guess))], solver
-        if solver.name != ipopt.name:  # others stall more easily
-            other = ipopt
-            attempts.append(("from the same start", partial(attempt, other, guess)))
-        known = isinstance(guess, OptimalPath)
+        problem = self.problem.varied({"start": start, "end": end, "parameters": parameters, **given}, span)
+        known, other = isinstance(guess, OptimalPath), solver if solver.name == ipopt.name else ipopt
+        begins: list[tuple[str, Solver, Any, float]] = [("from the guess", solver, guess, 1.0)]
+        if other is not solver:  # others stall more easily
+            begins.append(("from the same start", other, guess, 1.0))
         if guess is not None and not known:
-            attempts.append(("from the straight line", partial(attempt, other, None)))
-        bounds = [side for phase in self.phases for side in (phase.duration_bounds or ((), ()))[1]]
-        if bounds and np.isfinite(bounds).all() and not known:  # without bounds the cost may fall for ever
-            attempts.append(
-                (f"from {LONGER_DURATION:g} times the duration", partial(attempt, other, guess, LONGER_DURATION))
-            )
+            begins.append(("from the straight line", other, None, 1.0))
+        longest = [side for phase in self.phases for side in (phase.duration_bounds or ((), ()))[1]]
+        if longest and np.isfinite(longest).all() and not known:  # without bounds the cost may fall for ever
+            begins.append((f"from {LONGER_DURATION:g} times the duration", other, guess, LONGER_DURATION))
         with fork_waits:  # it builds its Functions when they are first needed
-            path = first_found(attempts)
+            attempt = partial(self._solved, problem, calculus, verbose, began)
+            path = first_found((how, partial(attempt, *begin)) for how, *begin in begins)
         if verbose:
             print(path)
         return path
@@ -232,22 +214,30 @@ class ControlTranscription:
 
     def _solved(
         self,
-        solver: Solver,
         problem: ControlProblem | Phases,
         calculus: DiscreteCalculus,
-        start: StartingPoint,
         verbose: int,
         began: float,
-    ) -> ControlTrajectory | PhasesTrajectory:
-        """The verified solution of one solver from a starting point, or of Newton's method where that finds one.
+        solver: Solver,
+        guess: Any,
+        longer: float,
+    ) -> Any:
+        """The verified solution of one solver from a guess, or of Newton's method where that finds one.
 
         The inertia that IPOPT itself finds in its last step leaves no doubt about most minima, which then cost nothing.
         """
         numbers, phases = self.numbering, parted(problem).phases
         bounds = self.bounds if problem is self.problem else bounds_of(phases, self.joins, numbers)
+        start, remark = starting_point(self.graph, problem, calculus, guess, longer), ""
         unknowns, data = numbers.pack(start.values)
+        if solver.name == sqp.name and not start.duals:
+            solver, remark = ipopt, ", as sqp begins from an answer of the same layout"
 
-        def verified(optimum: Optimum, name: str) -> ControlTrajectory | PhasesTrajectory:
+        def optimum_from(at: np.ndarray, *duals: np.ndarray) -> Optimum:
+            program = self._kept_program(solver, bool(duals), verbose)
+            return optimize(program, at, data, bounds, BOUND_RELAXATION[solver.name], *duals)
+
+        def verified(optimum: Optimum, name: str = SOLVER_NAMES[solver.name]) -> Any:
             values, meshes = numbers.unpack(optimum.unknowns, data), meshes_of(phases, calculus.mesh)
             timed = zip(numbers.chains, self._timed(values, meshes), strict=True)
             paths = [chain.path(*given) for chain, given in timed]
@@ -273,7 +263,7 @@ class ControlTranscription:
                 iterations=optimum.iterations,
                 residual=violation / EPS,
                 violation=violation,
-                solver=f"{name} ({optimum.status})",
+                solver=f"{name} ({optimum.status}){remark}",
                 build_seconds=self.build_seconds,
                 solve_seconds=time.perf_counter() - began - self.build_seconds,
                 method=self.method,
@@ -285,23 +275,13 @@ class ControlTranscription:
         if root is not None:
             with suppress(ConvergenceError):  # as where it violates a bound, and another root does not
                 return verified(root, "Newton")
-        program = self._kept_program(solver, bool(start.duals), verbose)
-        optimum = optimize(program, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
+        optimum = optimum_from(unknowns, *start.duals)
         if optimum.status == INVALID:
             refuse_not_finite(phases, self.graph, unknowns, data)
-        path = verified(optimum, SOLVER_NAMES[solver.name])
+        path = verified(optimum)
         if start.known or not (optimum.doubtful and path.morse_index):
             return path
-        saddle = SecondOrder(problem, self.method, calculus.mesh, optimum, path.cost, self.graph)
-        program, beside = self._kept_program(solver, False, verbose), saddle.downwards()
-        lower = optimize(program, beside, data, bounds, BOUND_RELAXATION[solver.name])
-        iterations = path.iterations + lower.iterations
-        with suppress(ConvergenceError):
-            least = verified(lower, SOLVER_NAMES[solver.name])
-            if least.cost < path.cost and len(distinct_optima([least, path])) > 1:
-                report = f"{least.solver}, beside a saddle of cost {path.cost:.6g}"
-                return replace(least, solver=report, iterations=iterations)
-        return replace(path, iterations=iterations)
+        return _below(path, optimum_from, verified)
 
     def _timed(
         self, values: list[dict[str, np.ndarray]], meshes: list[np.ndarray]
@@ -353,6 +333,18 @@ class ControlTranscription:
             f"{counted(len(self.mesh) - 1, 'interval')}: {counted(self.numbering.unknowns, 'unknown')}, built in "
             f"{self.build_seconds:.4f} s"
         )
+
+
+def _below(saddle: Any, optimum_from: Callable[..., Optimum], verified: Callable[..., Any]) -> Any:
+    """The optimum that is found from beside a saddle or, where none costs less, the saddle."""
+    lower = optimum_from(saddle.variations.downwards())
+    iterations = saddle.iterations + lower.iterations
+    with suppress(ConvergenceError):
+        least = verified(lower)
+        if least.cost < saddle.cost and len(distinct_optima([least, saddle])) > 1:
+            report = f"{least.solver}, beside a saddle of cost {saddle.cost:.6g}"
+            return replace(least, solver=report, iterations=iterations)
+    return replace(saddle, iterations=iterations)
 
 
 def _check_steps(mesh: np.ndarray) -> None:
