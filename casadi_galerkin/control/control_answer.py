@@ -14,10 +14,10 @@ from casadi_galerkin.control.control_graph import ControlGraph, Report
 from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.control.failed_optimization import undefined
 from casadi_galerkin.control.optimizer import Optimum
-from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases
+from casadi_galerkin.problems.statements import FEASIBLE
 from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.control_path import ControlPath, joined_controls, side_by_side
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory

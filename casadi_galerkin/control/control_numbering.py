@@ -23,8 +23,8 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
+from casadi_galerkin.problems.callables import VELOCITIES, rows_that_depend
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.expressions import VELOCITIES, rows_that_depend
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,11 @@ from casadi_galerkin.control.control_numbering import Numbering
 from casadi_galerkin.control.initial_guess import starting_point
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, Optimum
 from casadi_galerkin.control.program_bounds import bounds_of, equation_scales
-from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.problems.phases import parted
 from casadi_galerkin.problems.problem import with_values
+from casadi_galerkin.problems.statements import FEASIBLE
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solvers.linear_solver import all_finite, factors_of
 from casadi_galerkin.solvers.solver import Solver

@@ -51,12 +51,10 @@ from casadi_galerkin.control.starts import LONGER_DURATION, distinct_optima, fir
 from casadi_galerkin.control.two_comparisons import compared, from_near
 from casadi_galerkin.functional.buffers import Evaluator, fork_waits, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
-from casadi_galerkin.problems.bounds import FEASIBLE, Limit
 from casadi_galerkin.problems.constrained_motion import check_points
-from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.control_rules import determined
+from casadi_galerkin.problems.control_problem import ControlProblem, determined
 from casadi_galerkin.problems.phases import Phases, parted
-from casadi_galerkin.problems.statements import check
+from casadi_galerkin.problems.statements import FEASIBLE, Limit, check
 from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory, OptimalPath
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
-from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import map_times, section_times, with_values
+from casadi_galerkin.problems.statements import AT_BOUND
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 

@@ -17,8 +17,8 @@ from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
 from casadi_galerkin.control.control_graph import ControlGraph
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.functional.buffers import Evaluator, evaluating
-from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
+from casadi_galerkin.problems.statements import FEASIBLE
 from casadi_galerkin.solvers.deadline import limited, seconds_left
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; with an unbounded cost the iteration does not end

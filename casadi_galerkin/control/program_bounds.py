@@ -16,10 +16,10 @@ from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
 from casadi_galerkin.control.control_graph import Report
 from casadi_galerkin.control.control_numbering import Chain, Numbering
-from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Joins
 from casadi_galerkin.problems.problem import ENDS
+from casadi_galerkin.problems.statements import FEASIBLE, bound_excess
 
 VANISHED = 1e3 * EPS  # terms over those along the guess below which they are rounding
 LEAST_SIZE = EPS / FEASIBLE  # size of terms, over that of what they are part of, from which their rounding is feasible

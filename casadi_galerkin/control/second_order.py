@@ -31,10 +31,10 @@ from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph
 from casadi_galerkin.control.control_numbering import Numbering
 from casadi_galerkin.control.control_sensitivity import ControlSensitivity, sensitivity_of
 from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
-from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.problems.phases import Phases
+from casadi_galerkin.problems.statements import AT_BOUND
 from casadi_galerkin.solution.control_trajectory import COST_CHANGE, ControlTrajectory, RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 

@@ -27,8 +27,8 @@ from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.callables import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.constrained_motion import check_points
-from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.problem import END_MOTIONS, is_given
 

@@ -17,7 +17,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.functional.embedding import gathered
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.numbering import Numbering
-from casadi_galerkin.problems.expressions import sizes_of_terms
+from casadi_galerkin.problems.callables import sizes_of_terms
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.numbering import CACHE_SIZE
-from casadi_galerkin.problems.expressions import calls_functions, replayed
+from casadi_galerkin.problems.callables import calls_functions, replayed
 
 PointMap: TypeAlias = Callable[[ca.Function, int, tuple[int, ...]], ca.Function]
 

@@ -22,8 +22,13 @@ from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
-from casadi_galerkin.problems.callables import depends_on_time
-from casadi_galerkin.problems.expressions import POSITIONS, depends_on_free, rows_that_depend, sizes_of_terms
+from casadi_galerkin.problems.callables import (
+    POSITIONS,
+    depends_on_free,
+    depends_on_time,
+    rows_that_depend,
+    sizes_of_terms,
+)
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 

@@ -18,12 +18,19 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems import statements
-from casadi_galerkin.problems.bounds import FEASIBLE, Limit, Limited, bounds
-from casadi_galerkin.problems.callables import Rows, Traceable, of_zeros, trace
+from casadi_galerkin.problems.callables import Rows, Traceable, entries_of, of_zeros, trace, values_given
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.expressions import entries_of, values_given
 from casadi_galerkin.problems.problem import ENDS, Stated, with_values
-from casadi_galerkin.problems.statements import Statement, is_limited, optional, read_limited
+from casadi_galerkin.problems.statements import (
+    FEASIBLE,
+    Limit,
+    Limited,
+    Statement,
+    bounds,
+    is_limited,
+    optional,
+    read_limited,
+)
 
 Link: TypeAlias = Traceable | tuple[Traceable, Limit, Limit] | None
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.numbers import numbers, real_array
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.problems.expressions import calls_functions
+from casadi_galerkin.problems.callables import calls_functions
 
 OUTSIDE = "outside"  # the output of a table by which it is told from other Functions
 

@@ -27,9 +27,9 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import Quadrature
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.mapping import at_places
+from casadi_galerkin.problems.callables import STEPPING, entries_within
 from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.expressions import STEPPING, entries_within
 from casadi_galerkin.solution.jump_detection import JOINT_MARGIN, JumpDetector
 
 HALVINGS = round(-np.log2(EPS) / 2)  # of a part of the interval, which leave half its digits

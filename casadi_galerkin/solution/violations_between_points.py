@@ -16,10 +16,10 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, s
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.functional.interval import SlopeBasis
 from casadi_galerkin.functional.mapping import at_places
-from casadi_galerkin.problems.bounds import AT_BOUND, bound_excess
+from casadi_galerkin.problems.callables import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.expressions import CONTROLS, VELOCITIES, rows_that_depend
+from casadi_galerkin.problems.statements import AT_BOUND, bound_excess
 from casadi_galerkin.solution.control_path import ControlPath, finer_rule
 from casadi_galerkin.solution.jump_detection import JumpDetector
 from casadi_galerkin.solution.time_jumps import integrand, largest_step, may_step, moving_phases

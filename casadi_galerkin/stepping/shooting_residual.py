@@ -38,7 +38,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.boundary_terms import rows_of_ends
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.expressions import POSITIONS, rows_that_depend
+from casadi_galerkin.problems.callables import POSITIONS, rows_that_depend
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import guess_values
 from casadi_galerkin.solution.orbit_phase import phase_plane
