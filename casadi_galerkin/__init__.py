@@ -39,9 +39,9 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory as Con
 from casadi_galerkin.solution.errors import ConjugatePointError as ConjugatePointError
 from casadi_galerkin.solution.errors import ConvergenceError as ConvergenceError
 from casadi_galerkin.solution.errors import LimitReached as LimitReached
-from casadi_galerkin.solution.limits import Limits as Limits
+from casadi_galerkin.solution.errors import Limits as Limits
+from casadi_galerkin.solution.optimal_path import PhasesTrajectory as PhasesTrajectory
 from casadi_galerkin.solution.path import load as load
-from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory as PhasesTrajectory
 from casadi_galerkin.solution.plotting import panels as panels
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
 from casadi_galerkin.solvers.solver import Solver as Solver

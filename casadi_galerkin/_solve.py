@@ -29,9 +29,9 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import check_kind, check_types
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.errors import Limits, check_tolerance
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits, check_tolerance
-from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
+from casadi_galerkin.solution.optimal_path import PhasesTrajectory
 from casadi_galerkin.solution.quantity import Quantity, check_asked
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.deadline import until

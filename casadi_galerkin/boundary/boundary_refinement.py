@@ -56,9 +56,8 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.error_indicators import FRACTIONS, error_indicators
-from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached
+from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached, Limits
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, joined_by_lines
-from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.refinement import Estimate, Refinement

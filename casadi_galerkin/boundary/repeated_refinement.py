@@ -25,9 +25,8 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import PointMap, by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import Problem, map_times, section_times
-from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, Limits
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.curve import LoadedCurve

@@ -114,10 +114,9 @@ class Transcription(BoundaryGraph):
         ----------
         start, end : d numbers, with None exactly where the problem has None
         parameters : as many numbers as the problem has
-        guess : None (the straight line between the ends), a callable t -> (d,), which is called once for all times
-            where it takes an array (K,) to (d, K), a pair (times, values) of arrays (K,) and (d, K), joined by lines,
-            an array (d, N + 1) of values at the joints or (d, N m + 1) at all nodes, or an earlier Trajectory; a pair
-            and a Trajectory over other times are stretched
+        guess : None (the straight line between the ends), a callable t -> (d,), a pair (times, values) of arrays
+            (K,) and (d, K), joined by lines, an array (d, N + 1) of values at the joints or (d, N m + 1) at all nodes,
+            or an earlier Trajectory; a pair and a Trajectory over other times are stretched
         mesh : (N + 1,) joints; where the duration is free it is stretched
         solver : newton, rootfinder, ipopt or minimizer
         verbose : 1 prints a summary, 2 also a line per iteration

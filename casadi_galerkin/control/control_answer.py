@@ -22,8 +22,8 @@ from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.control_path import ControlPath, joined_controls, side_by_side
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.optimal_path import PhasesTrajectory
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 
 
 def answer(

@@ -42,11 +42,10 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
-from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, Limits
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess
-from casadi_galerkin.solution.limits import Limits
+from casadi_galerkin.solution.optimal_path import PhasesTrajectory
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
 from casadi_galerkin.solvers.deadline import until

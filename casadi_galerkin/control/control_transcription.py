@@ -55,9 +55,10 @@ from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.control_problem import ControlProblem, determined
 from casadi_galerkin.problems.phases import Phases, parted
 from casadi_galerkin.problems.statements import FEASIBLE, Limit, check
-from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory, OptimalPath
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.optimal_path import Comparisons, OptimalPath
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt, sqp
 

@@ -22,8 +22,9 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases, parted
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory, OptimalPath
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, check_finite_values, guess_values, meeting_ends, sampled
+from casadi_galerkin.solution.optimal_path import OptimalPath
 
 LARGEST_TERMS_RATIO = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
 LEAST_TERMS = np.sqrt(EPS)  # part of the largest terms on the straight line below which those of a component are none

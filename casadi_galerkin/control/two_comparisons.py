@@ -29,9 +29,9 @@ from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.control.optimizer import ACCEPTABLE
 from casadi_galerkin.problems.problem import map_times, section_times
-from casadi_galerkin.solution.control_trajectory import Comparisons, ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
-from casadi_galerkin.solution.phases_trajectory import PhasesTrajectory
+from casadi_galerkin.solution.optimal_path import Comparisons, PhasesTrajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, sqp
 
 DEGREES_ADDED = 2  # degrees added; one adds nothing to a path of the other parity

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -14,21 +11,14 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.statements import FEASIBLE
-from casadi_galerkin.solution.control_path import ControlPath, side_by_side
-from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, by_component
-from casadi_galerkin.solution.path import of_parts
-from casadi_galerkin.solution.plotting import draw_bounds, draw_multipliers, panels, plot_path
+from casadi_galerkin.solution.optimal_path import OptimalPath
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Answer, Lines, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # size over that of the largest component below which a component may be an error of the solver only
 SMALL_COMPONENT = 1e-6
@@ -39,7 +29,6 @@ STEP = (
     "a callable steps, as x or v pass some value or at a given time while durations or parameters are free, and no "
     "derivative shows it: smooth the step, or state what is before and behind it as phases"
 )
-ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
 
 
 @dataclass(frozen=True)
@@ -56,194 +45,6 @@ class RemainingError:
     components: np.ndarray
     durations: float
     cost: float
-
-
-@dataclass(frozen=True)
-class Comparisons:
-    """An optimal path's comparison with others of higher degree.
-
-    Attributes
-    ----------
-    finer : the others, where they are paths of one problem
-    errors : relative errors of the cost, and of all
-    unseen : relative error that all of these have in common
-    """
-
-    finer: tuple[ControlTrajectory, ...]
-    errors: tuple[float, float]
-    unseen: float
-
-
-@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
-class OptimalPath(Answer):
-    """A path with controls, costs and multipliers: what the answers of all optimizations have.
-
-    Attributes
-    ----------
-    cost, cost_size, cost_error, control, costate, path_multipliers, violation : as of a `ControlTrajectory`
-    parts : the paths of the phases, if there are several
-    number : of this phase, if it is one of several
-    """
-
-    _left: ClassVar = "violation {0.violation:.1e}"
-
-    cost: float
-    cost_size: float
-    control: ControlPath
-    costate: PiecewisePolynomial
-    violation: float
-    find_comparisons: Callable[[Any], Comparisons]
-    path_multipliers: ControlPath | None = None
-    cost_error: float | None = None
-    parts: tuple[ControlTrajectory, ...] = ()
-    number: int | None = None
-
-    def _ask_whole(self, what: str) -> None:
-        """Refuse what one of several phases does not know."""
-        if self.number is not None:
-            raise ValueError(f"a phase has no {what} of its own: ask the whole path")
-
-    def estimate_error(self) -> float:
-        """Estimate the relative error of x, and that of the cost; kept as `error_estimate` and `cost_error`.
-
-        The path is compared with two of a higher degree, on the same mesh and on an interlaced one: the errors are
-        twice the larger differences, and at least what positions exceed their bounds by between the points, and the
-        remaining solver error.  They are infinite where one of the two is not found.  With `hold` they are those of the
-        motion under controls that are held on these intervals.
-        """
-        if self.error_estimate is None:
-            try:
-                errors = self._comparisons.errors
-            except ConvergenceError:
-                errors = math.inf, math.inf
-            self.__dict__.update(zip(("cost_error", "error_estimate"), errors, strict=True))  # the class is frozen
-        assert self.error_estimate is not None
-        return self.error_estimate
-
-    @cached_property
-    def _comparisons(self) -> Comparisons:
-        self._ask_whole("errors")
-        return self.find_comparisons(self)
-
-    @property
-    def phases(self) -> tuple[Any, ...]:
-        """The paths of the phases into which the problem is parted, or this one alone."""
-        return self.parts or (self,)
-
-    def path_constraints(self, parts: np.ndarray) -> np.ndarray:
-        """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
-        return side_by_side([phase.between_points.path_constraints(parts) for phase in self.phases])
-
-    def _arrays(self) -> dict[str, np.ndarray]:
-        """What `load` makes path and controls of."""
-        return super()._arrays() | of_parts(
-            "control", vars(self.control), ("mesh", "points", "values", "rule", "bounds")
-        )
-
-    def plot(
-        self,
-        axes: Axes | None = None,
-        labels: Sequence[str] | None = None,
-        time: str = "t",
-        control_labels: Sequence[str] | None = None,
-        costate_labels: Sequence[str] | None = None,
-    ) -> Axes:
-        """Draw positions, controls, path constraints and the costate, one above the other.
-
-        Bounds are dashed lines, and breakpoints, such as the times at which phases begin, gray ones.
-
-        Parameters
-        ----------
-        axes : Matplotlib axes for the positions; all else is then left out
-        labels : d names of the positions with units
-        time : name of the time with its unit
-        control_labels : n names of the controls with units
-        costate_labels : d names of the costate with units: those of the cost over those of the momenta
-
-        Returns
-        -------
-        the Matplotlib axes of the positions
-        """
-        if axes is not None:
-            return super().plot(axes, labels, time)
-        controlled, limited = bool(len(self.control.values)), self.path_multipliers is not None
-        drawn = panels(2 + controlled + limited, sharex=True)
-        top = super().plot(drawn[0], labels, "")
-        self._draw_bounds(top, lambda problem: problem.position_bounds)
-        if controlled:
-            self.plot_controls(drawn[1], control_labels, "")
-        if limited:
-            self.plot_constraints(drawn[-2], time="")
-        line, at_joints = self.costate.line(self.fine_times), (self.t, self.costate(self.t))
-        plot_path(line, at_joints, drawn[-1], costate_labels, time, "λ")
-        for panel, when in product(drawn, self.problem.breakpoints):
-            panel.axvline(when, color="0.6", linewidth=0.8)
-        top.set_title(self._title())
-        return top
-
-    def plot_controls(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
-        """Draw the controls with their bounds; returns the Matplotlib axes.
-
-        Parameters
-        ----------
-        axes : Matplotlib axes to draw into; default a new figure
-        labels : n names of the controls with units
-        time : name of the time with its unit
-
-        Raises
-        ------
-        ValueError
-            where there are no controls
-        """
-        if not len(self.control.values):
-            raise ValueError("there are no controls to draw")
-        points = self.control.times, self.control.values
-        drawn = plot_path(self._broken(self.control.at(ALONG)), points, axes, labels, time, "u")
-        self._draw_bounds(drawn, lambda problem: problem.control_bounds)
-        return drawn
-
-    def plot_constraints(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
-        """Draw the path constraints with their bounds, and their multipliers dotted; returns the Matplotlib axes.
-
-        Parameters
-        ----------
-        axes : Matplotlib axes to draw into; default a new figure
-        labels : names of the path constraints with units
-        time : name of the time with its unit
-
-        Raises
-        ------
-        ValueError
-            where there is no path constraint
-        """
-        if self.path_multipliers is None:
-            raise ValueError("there is no path constraint to draw")
-        times, values = self.path_multipliers.times, self.path_constraints(self.path_multipliers.points)
-        line, points = self._broken(self.path_constraints(ALONG)), (times, values.reshape(len(values), -1))
-        drawn = plot_path(line, points, axes, labels, time, "g")
-        self._draw_bounds(drawn, lambda problem: problem.limits[1:])
-        draw_multipliers(drawn, times, self.path_multipliers.values)
-        return drawn
-
-    def _draw_bounds(self, axes: Axes, of: Callable[[ControlProblem], Any]) -> None:
-        """Add the bounds that the problem of each phase states, as long as it lasts."""
-        for phase in self.phases:
-            draw_bounds(axes, np.array(of(phase.problem)), phase.t[[0, -1]])
-
-    def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Times (K,) and values (n, K) of lines at `ALONG`, broken at the joints, where they may jump."""
-        times = times_at(self.t, ALONG).reshape(-1, len(ALONG))
-        values = lines.reshape(len(lines), *times.shape)
-        parted = [np.append(a, np.full_like(a[..., :1], np.nan), axis=-1) for a in (times, values)]
-        return parted[0].ravel(), parted[1].reshape(len(lines), -1)
-
-    def _title(self) -> str:
-        return f"Degree {self.method.degree} on {counted(len(self.t) - 1, 'interval')}: cost {self.cost:.6g}"
-
-    def _errors(self) -> str:
-        """The known errors of cost and path."""
-        known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
-        return ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -453,7 +254,9 @@ class ControlTrajectory(OptimalPath, Trajectory):
                 tried = "" if "starts" in self.solver else ", several `starts`"
                 yield "SADDLE", f"no minimum: the cost decreases in {directions}; try a guess beside it{tried}"
             yield "cost", f"{self.cost:.12g}, {self._kind()}"
-            yield "Hamiltonian", f"{self.hamiltonian[0]:.9g} at the start, {self._variation()}"
+            where = " between breakpoints" if self.problem.breakpoints else ""
+            varies = f"varies by {self._hamiltonian_change:.1e}{where}"
+            yield "Hamiltonian", f"{self.hamiltonian[0]:.9g} at the start, {varies}"
         yield from self._asked()
         yield from self._accuracy()
         what = "momentum" if self.problem.mechanical else "value"
@@ -466,19 +269,11 @@ class ControlTrajectory(OptimalPath, Trajectory):
         i = int(np.argmax(values))
         return f"{values[i]:.1e} between the points of [{self.t[i]:.4g}, {self.t[i + 1]:.4g}]"
 
-    def _variation(self) -> str:
-        """By how much the Hamiltonian varies, and whether it does so only because breakpoints have given times."""
-        whole, problem = np.ptp(self.hamiltonian), self.problem
-        between = max(np.ptp(part) for part in self._hamiltonian_of_sections)
-        timed = [name for name in ("waypoints", "jumps", "breakpoints") if getattr(problem, name)]
-        if problem.duration_bounds is not None or not problem.autonomous or not timed or between > whole / 2:
-            return f"varies by {whole:.1e}"
-        return f"varies by {between:.1e} between the {timed[0]}, where it changes as their times are given"
-
     @property
-    def _hamiltonian_of_sections(self) -> list[np.ndarray]:
-        """The Hamiltonian on the intervals between breakpoints, one array for each section."""
-        return np.split(self.hamiltonian, np.searchsorted(self.t, self.problem.breakpoints))
+    def _hamiltonian_change(self) -> float:
+        """The largest variation of the Hamiltonian between two breakpoints."""
+        sections = np.split(self.hamiltonian, np.searchsorted(self.t, self.problem.breakpoints))
+        return float(max(map(np.ptp, sections)))
 
     @property
     def _not_optimal(self) -> bool:
@@ -518,17 +313,11 @@ class ControlTrajectory(OptimalPath, Trajectory):
             (self.control_misfit, f"`control(t)` misses the motion by {{:.0e}} {{}}; {finer}"),
         ):
             yield from self._above(values, UNRESOLVED, words)
-        fraction = self.hamiltonian_variation / costs
-        if fraction > UNBALANCED and self.problem.costs:  # without costs it is rounding alone
+        fraction = self._hamiltonian_change * np.ptp(self.t) / costs
+        constant = self.problem.autonomous and not self.problem.hold  # held controls are optimal in the mean only
+        if constant and fraction > UNBALANCED and self.problem.costs:  # without costs it is rounding alone
             words = f"varies by {fraction:.0e} of the cost; take more intervals"
             yield "NOT RESOLVED:", f"the Hamiltonian, which should be constant, {words}"
-
-    @cached_property
-    def hamiltonian_variation(self) -> float:
-        """Variation of the Hamiltonian, where it should be constant between breakpoints, times the duration."""
-        if self.problem.hold or not self.problem.autonomous:  # held controls are optimal in the mean only
-            return 0.0
-        return float(max(np.ptp(part) for part in self._hamiltonian_of_sections) * np.ptp(self.t))
 
     @property
     def _truncation_error(self) -> np.ndarray:

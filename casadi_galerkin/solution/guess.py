@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -36,18 +35,6 @@ def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray
             raise ValueError(f"{name} must return an array of shape ({dimension},), got {column.shape} at t = {t}")
         values[:, k] = column
     return values
-
-
-def guessed(function: Callable[..., ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:
-    """Values (d, K) of a guess: from one call with all times, if calls with three single times confirm it."""
-    tried = [0, len(times) // 2, len(times) - 1]
-    one_by_one = sampled("the guess", function, times[tried], dimension)
-    with suppress(Exception):  # a callable that takes one time may raise any error
-        whole = np.asarray(function(times.copy()), dtype=float)  # a copy, because the callable may change it
-        fits = whole.shape == (dimension, len(times))
-        if fits and np.allclose(whole[:, tried], one_by_one, rtol=1e-12, atol=0):
-            return whole
-    return sampled("the guess", function, times, dimension)
 
 
 def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.ndarray:
@@ -130,29 +117,30 @@ def joined_by_lines(times: Any, values: Any, dimension: int) -> PiecewisePolynom
 
 
 def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
-    times, d = calculus.node_times, dimension
+    mesh, times, nodes, d = calculus.mesh, calculus.node_times, calculus.method.element.nodes, dimension
     if isinstance(guess, tuple) and len(guess) == 2:
         guess = joined_by_lines(*guess, d)
-    if isinstance(guess, (Path, PiecewisePolynomial)):
-        path = guess.polynomial if isinstance(guess, Path) else guess
-        if len(path.values) != d:
-            raise ValueError(f"the guess must be a path of {counted(d, 'component')}, got {len(path.values)}")
-        old = path.mesh
-        if np.array_equal(old, calculus.mesh) and np.array_equal(path.nodes, calculus.method.element.nodes):
-            return path.values
-        same = old[0] == times[0] and old[-1] == times[-1]
-        return path(times if same else old[0] + calculus.node_parts * (old[-1] - old[0]))
-    if callable(guess):
-        return guessed(guess, times, d)
-    if isinstance(guess, list) and any(map(callable, guess)):
+    elif isinstance(guess, Path):
+        guess = guess.polynomial
+    elif isinstance(guess, list) and any(map(callable, guess)):
         raise TypeError("a pair as guess, such as (path, controls), must be a tuple, got a list")
-    array = real_array("the guess", guess)
-    if array.shape == (d, len(times)):
-        return array
-    if array.shape == (d, len(calculus.mesh)):
-        return np.stack([np.interp(times, calculus.mesh, row) for row in array])
-    raise ValueError(
-        f"the guess must have the shape ({d}, {len(calculus.mesh)}) for values at the joints or "
-        f"({d}, {len(times)}) at all nodes, got {array.shape}; a pair (times, values) fits any mesh, for a "
-        "control problem ((times, values), None)"
-    )
+    elif not callable(guess):
+        array = real_array("the guess", guess)
+        if array.shape not in ((d, len(mesh)), (d, len(times))):
+            raise ValueError(
+                f"the guess must have the shape ({d}, {len(mesh)}) for values at the joints or ({d}, {len(times)}) at "
+                f"all nodes, got {array.shape}; a pair (times, values) fits any mesh, for a control problem "
+                "((times, values), None)"
+            )
+        if array.shape == (d, len(times)):
+            return array
+        guess = PiecewisePolynomial(mesh, np.array([0.0, 1.0]), array)
+    if not isinstance(guess, PiecewisePolynomial):
+        return sampled("the guess", guess, times, d)
+    if len(guess.values) != d:
+        raise ValueError(f"the guess must be a path of {counted(d, 'component')}, got {len(guess.values)}")
+    old = guess.mesh
+    if np.array_equal(old, mesh) and np.array_equal(guess.nodes, nodes):
+        return guess.values
+    same = old[0] == times[0] and old[-1] == times[-1]
+    return guess(times if same else old[0] + calculus.node_parts * (old[-1] - old[0]))

@@ -210,20 +210,18 @@ def load(file: File) -> Path | tuple[Path, ControlPath]:
     >>> cg.solve(fall, tol=1e-6, guess=cg.load(file)).iterations
     1
     """
-    arrays: dict[str, dict[str, np.ndarray]] = {"polynomial": {}, "control": {}}
     with open(file_path(file), "rb") as stream:
-        archive = {}
-        if is_zipfile(stream):  # of a table in text, numpy says that it holds pickles
-            stream.seek(0)
-            archive = np.load(stream)
-        for name in archive:
-            kind, _, part = name.partition(".")
-            if kind in arrays and part:
-                arrays[kind][part] = archive[name]
-    if not arrays["polynomial"]:
+        zipped = is_zipfile(stream)  # of a table in text, numpy says that it holds pickles
+        stream.seek(0)
+        archive = dict(np.load(stream)) if zipped else {}
+    path, control = (
+        {name.removeprefix(kind): archive[name] for name in archive if name.startswith(kind)}
+        for kind in ("polynomial.", "control.")
+    )
+    if not path:
         raise ValueError(f"{file} holds no path; only to_npz of a path writes one, and not that of other results")
-    path = Path(PiecewisePolynomial(**arrays["polynomial"]))
-    return (path, ControlPath(**arrays["control"])) if arrays["control"] else path
+    found = Path(PiecewisePolynomial(**path))
+    return (found, ControlPath(**control)) if control else found
 
 
 def plot_component(

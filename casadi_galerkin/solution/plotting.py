@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.calculus.roundoff import TINY
 
 if TYPE_CHECKING:
-    from matplotlib.animation import FuncAnimation
-    from matplotlib.artist import Artist
+    from matplotlib.animation import ArtistAnimation
     from matplotlib.axes import Axes
 
 # M. Okabe and K. Ito's palette, told apart by color-blind readers
@@ -105,16 +103,23 @@ def plot_path(
         axes.plot(line[0], values, color=color, label=names[i])
         if len(points[0]) <= MOST_DOTS:
             axes.plot(points[0], dots, ".", color=color)
-    alone, legend = count == 1, 1 < count <= len(COLORS)
-    axes.set(xlabel=time, ylabel=names[0] if alone else "" if legend and labels is not None else name)
-    if legend:  # beside the axes, where it hides no line
-        axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    alone, told_apart = count == 1, 1 < count <= len(COLORS)
+    axes.set(xlabel=time, ylabel=names[0] if alone else "" if told_apart and labels is not None else name)
+    if told_apart:  # beside the axes, where it hides no line
+        legend(axes, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return axes
+
+
+def legend(axes: Axes, **options: Any) -> None:
+    """Add a legend in which every name stands once."""
+    handles, names = axes.get_legend_handles_labels()
+    named = dict(zip(names, handles, strict=True))
+    axes.legend(named.values(), named.keys(), fontsize="small", **options)
 
 
 def legend_below(axes: Axes, **options: Any) -> None:
     """Put the legend of many or long entries under the axes, where it hides nothing and takes no width."""
-    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.18), **options)
+    legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.18), **options)
 
 
 def plot_plane(
@@ -174,8 +179,7 @@ def plot_branches(
     axes = axes_or_new(axes)
 
     def draw(points: Points, style: str, label: str, **options: Any) -> None:
-        known = label in {line.get_label() for line in axes.lines}
-        axes.plot(*zip(*points, strict=True), style, label="_again" if known else label, **options)
+        axes.plot(*zip(*points, strict=True), style, label=label, **options)
 
     axes.add_collection(
         LineCollection([[place[1:] for place in branch] for branch in branches], colors="0.8", zorder=1)
@@ -189,7 +193,7 @@ def plot_branches(
         draw(folds, "k+", "fold", markersize=12)
     if branch_points:
         draw(branch_points, "ko", "branch point", markersize=7, fillstyle="none")
-    axes.legend(fontsize="small")
+    legend(axes)
     if labels is not None:
         axes.set(**dict(zip(("xlabel", "ylabel"), component_names("the diagram", 2, labels), strict=True)))
     return axes
@@ -210,35 +214,28 @@ def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | 
 
 def animate_linkage(
     times: np.ndarray, points: np.ndarray, interval: float, axes: Axes | None, unit: str
-) -> FuncAnimation:
+) -> ArtistAnimation:
     """Move a chain of bars through points (n, 2, K), one frame every `interval` seconds; the last point leaves a trail.
 
-    The title is the time in the unit given.  The axes are scaled to hold all of it; an animation runs only as long as a
+    Above is the time in the unit given.  The axes are scaled to hold all of it; an animation runs only as long as a
     reference to it is kept.
     """
-    from matplotlib.animation import FuncAnimation
+    from matplotlib.animation import ArtistAnimation
     from matplotlib.figure import Figure
 
-    axes = axes_or_new(axes)
-    low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
-    middle, half = (low + high) / 2, 0.55 * max(np.max(high - low), TINY)
-    axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal")
-    (trail,) = axes.plot([], [], color=COLORS[5])
-    (bars,) = axes.plot([], [], "o-", color=COLORS[0], linewidth=2)
-    clock = axes.set_title("", fontsize="medium")
+    axes, frames = axes_or_new(axes), list[Any]()
+    axes.set_aspect("equal", "datalim")
     digits = max(0, 2 - int(np.floor(np.log10(times[-1] - times[0]))))
-
-    def frame(k: int) -> tuple[Artist, ...]:
-        bars.set_data(points[:, 0, k], points[:, 1, k])
-        trail.set_data(points[-1, 0, : k + 1], points[-1, 1, : k + 1])
-        clock.set_text(f"t = {times[k]:.{digits}f} {unit}".rstrip())
-        return bars, trail, clock
-
+    for k, t in enumerate(times):
+        trail = axes.plot(*points[-1, :, : k + 1], color=COLORS[5])
+        bars = axes.plot(*points[:, :, k].T, "o-", color=COLORS[0], linewidth=2)
+        clock = axes.text(0.5, 1.02, f"t = {t:.{digits}f} {unit}".rstrip(), transform=axes.transAxes, ha="center")
+        frames.append([*trail, *bars, clock])
     drawn = axes.figure
     assert isinstance(drawn, Figure)
     drawn.draw_without_rendering()
     drawn.set_layout_engine("none")  # laid out only once, because it takes 0.2 s
-    return FuncAnimation(drawn, frame, frames=len(times), interval=1000 * interval)
+    return ArtistAnimation(drawn, frames, interval=1000 * interval)
 
 
 def plot_work_precision(
@@ -248,30 +245,23 @@ def plot_work_precision(
 
     Each of the lines has names of its color and its dots; no other point betters one of the front.
     """
-    from matplotlib.lines import Line2D
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axes = axes_or_new(axes)
 
-    def draw(points: Points, **looks: Any) -> Artist:
+    def draw(points: Points, **looks: Any) -> None:
         """An error of zero has no place on a logarithmic axis."""
-        return axes.loglog([1e3 * t for t, _ in points], [max(e, floor / 3) for _, e in points], **looks)[0]
+        axes.loglog([1e3 * t for t, _ in points], [max(e, floor / 3) for _, e in points], **looks)
 
-    entries: list[Artist] = [draw(front, label="the front", color="0.85", linewidth=7, zorder=0)]
-    entries.append(axes.axhspan(floor / 10, floor, color="0.93", zorder=-1, label="rounding, or the reference's error"))
-    chosen: list[dict[str, dict[str, Any]]] = []
-    for k, (style, values) in enumerate((("color", COLORS), ("marker", "os^DvP*"))):
-        names = dict.fromkeys(key[k] for key, _ in lines)
-        chosen.append({name: {style: values[i % len(values)]} for i, name in enumerate(names)})
-        if k == 0 or len([name for name in names if name]) > 1:  # a single solver is not named
-            sample = {"color": "0.3", "linestyle": "" if style == "marker" else "-"}
-            entries += [Line2D([], [], label=name, **sample | look) for name, look in chosen[k].items() if name]
-    for key, points in lines:
-        color, dots = (looks[name] for looks, name in zip(chosen, key, strict=True))
-        draw(points, markersize=4, linewidth=1, **color, **dots)
+    draw(front, label="the front", color="0.85", linewidth=7, zorder=0)
+    axes.axhspan(floor / 10, floor, color="0.93", zorder=-1, label="rounding, or the reference's error")
+    colors, dots = (list(dict.fromkeys(names[k] for names, _ in lines)) for k in (0, 1))
+    for names, points in lines:
+        color, marker = COLORS[colors.index(names[0]) % len(COLORS)], "os^DvP*"[dots.index(names[1]) % 7]
+        draw(points, label=", ".join(filter(None, names)), color=color, marker=marker, markersize=4, linewidth=1)
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="milliseconds of a repeated solve", ylabel=label)
-    legend_below(axes, handles=entries, ncols=3)
+    legend_below(axes, ncols=3)
     return axes

@@ -6,7 +6,6 @@ A quantity is a callable: a path -> a number, or an array whose shape does not d
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from copy import copy
 from dataclasses import fields, replace
 from typing import Any, TypeVar
 
@@ -54,16 +53,14 @@ def largest_difference(
     Arrays of equal shapes.
     """
     value = quantity(of, path)
-    changes = np.abs(quantity(of, _moved(path, rounding)) - value)
-    for other in others:
+    changes = rounding * np.abs(value)
+    for other in (_rounded(path, rounding), *others):
         its = quantity(of, other)
         if its.shape != value.shape:
             raise ValueError(
                 f"of must return an array whose shape does not depend on the path, got {value.shape} and {its.shape}"
             )
         changes = np.maximum(changes, np.abs(its - value))
-    if not changes.any() and np.array_equal(quantity(of, _moved(path, 0.1)), value):
-        raise ValueError(f"of depends on no unknown of the path: it is {value} on every path")
     return value, changes
 
 
@@ -72,29 +69,17 @@ def size_of(value: np.ndarray) -> float:
     return float(np.max(np.abs(value))) or 1.0
 
 
-def _moved(path: Any, part: float) -> Any:
-    """The path with all numbers changed by some part of their sizes, but given ends and durations; no solution."""
-    problem, random = path.problem, np.random.default_rng(0)
-    free = [getattr(problem, name, None) is not None for name in ("energy", "duration_bounds")]
-    stretch = 1.0 + part * any(free)
+def _rounded(path: Any, rounding: float) -> Any:
+    """The path with all numbers changed by some part of their sizes; no solution."""
+    random, own = np.random.default_rng(0), path.polynomial
 
     def moved(value: np.ndarray) -> np.ndarray:
         size = np.max(np.abs(value), axis=-1, initial=0.0, keepdims=True)
-        return np.asarray(value + part * random.choice((-1.0, 1.0), np.shape(value)) * np.where(size > 0, size, 1.0))
+        return np.asarray(value + rounding * random.choice((-1.0, 1.0), np.shape(value)) * size)
 
-    own = path.polynomial
-    values, mesh = moved(own.values), own.mesh[0] + stretch * (own.mesh - own.mesh[0])
-    for k, name in enumerate(("start", "end")):
-        given = [value is not None for value in getattr(problem, name, None) or [None] * len(values)]
-        values[given, -k] = own.values[given, -k]
-    changes: dict[str, Any] = {"polynomial": PiecewisePolynomial(mesh, own.nodes, values)}
-    for name, value in ((entry.name, getattr(path, entry.name)) for entry in fields(path)):
-        if isinstance(value, (float, np.ndarray)):
-            changes[name] = moved(np.array(value))
-        elif name in ("control", "costate", "path_multipliers") and value is not None:
-            changes[name] = copy(value)
-            changes[name].__dict__.update(mesh=mesh, values=moved(value.values))
-    if getattr(problem, "parameter_bounds", None) is not None:
-        changes["problem"] = copy(problem)
-        changes["problem"].__dict__["parameters"] = tuple(moved(np.array(problem.parameters)).tolist())
+    numbers = {entry.name: getattr(path, entry.name) for entry in fields(path)}
+    changes: dict[str, Any] = {
+        name: moved(np.array(value)) for name, value in numbers.items() if isinstance(value, (float, np.ndarray))
+    }
+    changes["polynomial"] = PiecewisePolynomial(own.mesh, own.nodes, moved(own.values), own.arrivals)
     return replace(path, **changes)

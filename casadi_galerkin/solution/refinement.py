@@ -16,8 +16,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
-from casadi_galerkin.solution.limits import Limits
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.quantity import Quantity

@@ -33,7 +33,7 @@ from casadi_galerkin.solution.plotting import animate_linkage, plot_plane
 from casadi_galerkin.solution.quantity import Quantity, check_quantity, largest_difference, quantity, size_of
 
 if TYPE_CHECKING:
-    from matplotlib.animation import FuncAnimation
+    from matplotlib.animation import ArtistAnimation
     from matplotlib.axes import Axes
 
 Kind = TypeVar("Kind", bound="Answer")
@@ -223,8 +223,7 @@ class Trajectory(Answer):
         Raises
         ------
         TypeError, ValueError
-            where the quantity is not finite or no array of numbers, has another shape on another path, or depends on
-            nothing that was solved for
+            where the quantity is not finite or no array of numbers, or has another shape on another path
 
         Examples
         --------
@@ -410,8 +409,8 @@ class Trajectory(Answer):
         seconds: float | None = None,
         unit: str = "",
         frames: int = 100,
-    ) -> FuncAnimation:
-        """Move a planar mechanism along the path; returns Matplotlib's FuncAnimation, to show or to save.
+    ) -> ArtistAnimation:
+        """Move a planar mechanism along the path; returns Matplotlib's ArtistAnimation, to show or to save.
 
         Parameters
         ----------
@@ -467,9 +466,6 @@ class Trajectory(Answer):
         """The kind of critical point, in words."""
         if self.morse_index is not None:
             return super()._kind()
-        masses = at_places(legendre_transform(self._lagrangian), self.t, self.x, self(self.t, 1))[1].T
-        if np.all(np.linalg.eigvalsh(masses.reshape(-1, len(self.x), len(self.x))) < 0):
-            return "no Morse index and no minimum: ∂²L/∂v² is negative; -L has the same paths, and an index"
         least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
         return f"no Morse index{least}"
 

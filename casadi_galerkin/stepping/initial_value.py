@@ -16,8 +16,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.tables import off_tables
-from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
-from casadi_galerkin.solution.limits import Limits
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory

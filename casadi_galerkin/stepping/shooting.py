@@ -26,8 +26,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_kind
-from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
-from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, Limits, check_tolerance
 from casadi_galerkin.solution.orbit_phase import turned_back
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory

@@ -30,9 +30,8 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import Problem, check_kind, check_types, map_times, section_times
-from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, check_tolerance
 from casadi_galerkin.solution.guess import Guess, check_finite_values, guess_values, sampled
-from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.path import DRAWN_TIMES
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.quantity import Quantity, check_quantity, quantity, size_of

@@ -1,7 +1,5 @@
 """Guesses: of every kind, stretched and bent to the problem, or refused."""
 
-import math
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from scenes import BY_NAME, oscillator, oscillator_problem, pendulum
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.solution.guess import guess_values, guessed, meeting_ends
+from casadi_galerkin.solution.guess import guess_values, meeting_ends
 
 METHOD = cg.Galerkin(2)
 TIME = ca.SX.sym("t")
@@ -132,44 +130,6 @@ def test_a_guess_that_is_free_at_one_end_moves_as_a_whole():
 def test_a_callable_guess_returns_its_values_in_any_form(guess):
     calculus = cg.DiscreteCalculus(METHOD, [0.0, 0.5, 1.0])
     np.testing.assert_allclose(guess_values(guess, calculus, 1), [np.sin(calculus.node_times)], rtol=1e-15)
-
-
-def moved_in_place(t):
-    """Writes to what it is given, if that is an array."""
-    moved = t
-    moved += 1.0
-    return [moved + t, moved * 1.0]
-
-
-class Counted:
-    """A guess that counts how often it is called."""
-
-    def __init__(self, function):
-        self.function, self.calls = function, 0
-
-    def __call__(self, t):
-        self.calls += 1
-        return self.function(t)
-
-
-@pytest.mark.parametrize(
-    ("function", "most"),
-    [
-        (lambda t: [np.sin(t), 2 * t], 4),  # all at once, and three to see whether that is what it means
-        (lambda t: np.interp(t, [0.0, 1.0, 2.0], [0.0, 3.0, 1.0]) * np.ones((2, *np.shape(t))), 4),
-        (lambda t: [math.sin(t), 2 * t], 25),  # of one time only
-        (lambda t: [0.5, 2 * t], 25),
-        (lambda t: [0.5, 0.0] if t < 1 else [0.0, t], 25),
-        (lambda t: [t * np.max(t), t], 25),  # takes an array, but not as so many times
-        (moved_in_place, 25),
-    ],
-)
-def test_a_callable_is_called_once_for_all_times_where_it_can_be(function, most):
-    times, guess = np.linspace(0.0, 2.0, 21), Counted(function)
-    found = guessed(guess, times, 2)
-    np.testing.assert_allclose(found, np.transpose([function(t) for t in times.tolist()]), rtol=1e-15)
-    assert guess.calls <= most
-    np.testing.assert_array_equal(times, np.linspace(0.0, 2.0, 21))  # which others share
 
 
 def test_a_path_as_guess_keeps_its_values_on_its_own_mesh_and_its_jumps_on_that_of_another_degree():

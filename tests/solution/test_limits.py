@@ -9,7 +9,7 @@ from control_problems import double_integrator
 from scenes import BY_NAME
 
 import casadi_galerkin as cg
-from casadi_galerkin.solution.limits import check_tolerance
+from casadi_galerkin.solution.errors import check_tolerance
 
 
 def test_limits_of_another_kind_are_refused():

@@ -108,8 +108,12 @@ def test_a_legend_names_what_is_drawn_and_nothing_else():
     axes = cg.Trade(tuple(rows), "given").plot()
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names == [
-        *("the front", "rounding, or the reference's error", "degree 2", "degree 4", "to a tolerance", "on its mesh"),
-        *("newton", "shooting", repr(SOLVER).removeprefix("cg.")),
+        *("the front", "rounding, or the reference's error", "degree 2, newton", "degree 4, newton"),
+        *(
+            "degree 4, shooting",
+            f"to a tolerance, {SOLVER!r}".replace("cg.", ""),
+            f"on its mesh, {SOLVER!r}".replace("cg.", ""),
+        ),
     ]
 
 
