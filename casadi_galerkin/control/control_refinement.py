@@ -168,19 +168,22 @@ class ControlRefinement(Refinement[Any, Any]):
         return self.solve(self.method, finer, guess)
 
     def estimate(self, level: ControlTrajectory) -> Estimate[TwoComparisons | None]:
-        """The error estimated from the two paths of higher degree, where they are found."""
+        """The error estimated from paths of higher degree, as far as it is needed: one that is too large is enough."""
         self.check_time()
-        self.known = None
+        self.known, estimate = None, Estimate[TwoComparisons | None](np.inf, False, "no answer of higher degree", None)
         try:
-            detail = compared(level, lambda method, mesh: self.solve(method, self.scaled(mesh, level), level))
+            for detail in compared(level, lambda method, mesh: self.solve(method, self.scaled(mesh, level), level)):
+                cost, error = detail.errors
+                source = f"degree {detail.better.method.degree}"
+                estimate = Estimate(error if self.of is None else detail.change, True, source, detail)
+                self.known = detail
+                if self.error(level, estimate)[0] > self.goal:
+                    break
         except ConvergenceError:
             self.check_time()
-            return Estimate(np.inf, False, "no answer of higher degree", None)
-        cost, error = detail.errors
-        self.known, self.cost_known = detail, min(self.cost_known, cost)
-        return Estimate(
-            error if self.of is None else detail.change, True, f"degree {detail.better.method.degree}", detail
-        )
+            return replace(estimate, trusted=False)
+        self.cost_known = min(self.cost_known, cost)
+        return estimate
 
     def better_mesh(self, level: ControlTrajectory, estimate: Estimate[TwoComparisons | None]) -> np.ndarray:
         """The mesh that the comparisons ask for or, where there are none, one twice as fine.
@@ -194,7 +197,7 @@ class ControlRefinement(Refinement[Any, Any]):
         idle = len(self.stated.breakpoints) > len(self.breakpoints)
         joints = switch_times(detail.better) if idle else ()
         least = LEAST_PARTS if level is self.best[0] else 1.0  # after a level that came no nearer none are merged
-        return self.scaled(detail.mesh(self.tol, joints, least, self.of is not None), detail.better)
+        return self.scaled(detail.mesh(self.tol, self.goal, joints, least), detail.better)
 
     def check_meshes_help(self, detail: TwoComparisons) -> None:
         """Stop where no mesh reduces the error: that of a step, or the remaining solver error on two meshes."""

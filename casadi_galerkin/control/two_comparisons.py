@@ -15,7 +15,7 @@ switches or bends inside, and the interval is split as for a method of order 2: 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,6 +28,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.control.optimizer import ACCEPTABLE
+from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
@@ -40,6 +41,7 @@ JOINT_BEFORE, JOINT_AFTER = 0.31, 0.23  # distances of new joints from an old on
 BESIDE_FIXED = 0.05  # the same for an old joint that stays
 UNSMOOTH_DECAY = 0.25  # ratio of the last two Legendre coefficients to the two before from which a path is not smooth
 KINK_ORDER = 2  # of the error where it is not: a jump of the acceleration inside a step h changes x by the order of h²
+NARROW = 1e-8
 LEAST_PARTS, MOST_PARTS = 0.25, 4.0  # parts that an interval becomes at once
 NEAR_BARRIER = 1e-4  # first barrier of IPOPT from an earlier path: with 1e-2 a robot arm left its path, and found none
 # Ratio of IPOPT's tolerance to its last barrier.  The barrier keeps values off bounds to which little pushes them, such
@@ -81,12 +83,16 @@ class TwoComparisons:
     Attributes
     ----------
     path : of degree m
-    same, better : of degree m + 2, on the same mesh and on the interlaced one
+    finer : of degree m + 2, on the same mesh and, where that has not refused the path, on the interlaced one
     """
 
     path: ControlTrajectory
-    same: ControlTrajectory
-    better: ControlTrajectory
+    finer: tuple[ControlTrajectory, ...]
+
+    @property
+    def better(self) -> ControlTrajectory:
+        """The last of them."""
+        return self.finer[-1]
 
     @property
     def errors(self) -> tuple[float, float]:
@@ -106,7 +112,7 @@ class TwoComparisons:
     @property
     def known(self) -> Comparisons:
         """What the path keeps of this."""
-        return Comparisons((self.same, self.better), self.errors, self.unseen)
+        return Comparisons(self.finer, self.errors, self.unseen)
 
     @property
     def unseen(self) -> float:
@@ -121,7 +127,7 @@ class TwoComparisons:
     def _unseen(self) -> float:
         path, between = self.path, self.path.between_points
         rounding = 0.0 if path.problem.autonomous else EPS * np.max(np.abs(path.t)) / np.ptp(path.t)
-        of_cost = self.of_cost(np.sum(between.jump_effects)), self.of_cost(between.missed_cost)
+        of_cost = self.of_cost(np.sum(between.jump_effects)), self.of_cost(abs(np.sum(between.missed_costs)))
         return float(max(np.max(between.common_excess), *of_cost, rounding))
 
     @cached_property
@@ -136,7 +142,7 @@ class TwoComparisons:
 
     def of_cost(self, change: float) -> float:
         """A change of the cost relative to its size; zero where the costs cannot be told from zero."""
-        paths = self.path, self.same, self.better
+        paths = self.path, *self.finer
         of_forces = max(p.between_points.cost_of_forces for p in paths)
         if max(abs(p.cost) for p in paths) <= ACCEPTABLE * of_forces:
             return 0.0
@@ -145,7 +151,7 @@ class TwoComparisons:
     @cached_property
     def cost_error(self) -> float:
         """Relative error of the cost, or of the path where paths are far apart, whose costs may agree by chance."""
-        change = SAFETY * self.of_cost(max(abs(p.cost - self.path.cost) for p in (self.same, self.better)))
+        change = SAFETY * self.of_cost(max(abs(p.cost - self.path.cost) for p in self.finer))
         return max(change, self.distance) if self.distance > FAR_FROM_GUESS else change
 
     @property
@@ -156,23 +162,33 @@ class TwoComparisons:
     @cached_property
     def distance(self) -> float:
         """Relative error of durations, and of x at the same fractions of phases."""
-        return SAFETY * max(_distance(self.path, other) for other in (self.same, self.better))
+        return SAFETY * max(_distance(self.path, other) for other in self.finer)
 
-    def mesh(self, tol: float, joints: Iterable[float], least: float, of_quantity: bool) -> np.ndarray:
+    def mesh(self, tol: float, goal: float, joints: Iterable[float], least: float) -> np.ndarray:
         """Joints in the time of the better path, some of them given, with which x should be known to `tol`.
 
-        Its intervals become at least `least` parts each.  Bounds are kept between the points; for a quantity,
-        where the multipliers do not tell of them.
+        Its intervals become at least `least` parts each.  What else is known to be missed is brought to `goal`, the
+        tolerance of a quantity or of x itself; bounds are kept between the points, for a quantity where the multipliers
+        do not tell of them.
         """
         mesh, degree, between = self.better.t, self.path.method.degree, self.better.between_points
         fixed = tuple(sorted({*self.better.problem.breakpoints, *joints}))
         errors, smooth = beyond_degree(self.better)
         errors *= self.change / max(np.max(errors), TINY)
         parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
-        excess = between.common_excess if of_quantity else between.constraint_excess
-        parts = np.maximum(parts, parts_wanted(excess, KINK_ORDER, tol))
-        parts = np.maximum(parts, parts_wanted(between.control_misfit, KINK_ORDER, tol))
-        parts = np.maximum(parts, parts_wanted(self.of_cost(1.0) * between.jump_effects, 1, tol))
+        excess, of_cost = between.common_excess if goal < tol else between.constraint_excess, self.of_cost(1.0)
+        for missed, order, allowed in (
+            (excess, KINK_ORDER, goal),
+            (between.control_misfit, KINK_ORDER, tol),
+            (of_cost * np.abs(between.missed_costs), KINK_ORDER, goal),
+            (of_cost * between.jump_effects, 1, goal),
+        ):
+            parts = np.maximum(parts, parts_wanted(missed, order, allowed))
+        between_joints = switches(self.better)
+        left, right = (np.searchsorted(mesh, side, "left") for side in between_joints.T)
+        for i, j in zip(left - 1, right, strict=True):
+            parts[max(i, 0) : j] = np.minimum(parts[max(i, 0) : j], 1.0)
+        fixed = tuple(np.unique([*fixed, *between_joints.ravel()]).tolist())
         cumulated = np.append(0.0, np.cumsum(np.clip(parts, least, MOST_PARTS)))
         counts = np.diff(np.interp([mesh[0], *fixed, mesh[-1]], mesh, cumulated))
         return spread_over(mesh, cumulated, max(FEWEST, int(np.ceil(counts).sum())), fixed)
@@ -183,14 +199,17 @@ class PhasesComparisons:
     """The same of all phases of a path: errors are the largest of a phase, and the cost is that of the whole."""
 
     path: PhasesTrajectory
-    same: PhasesTrajectory
-    better: PhasesTrajectory
+    finer: tuple[PhasesTrajectory, ...]
 
     @cached_property
     def _each(self) -> list[TwoComparisons]:
-        paths = self.path, self.same, self.better
-        with_cost = [[replace(phase, cost=path.cost) for phase in path.phases] for path in paths]
-        return [TwoComparisons(*three) for three in zip(*with_cost, strict=True)]
+        with_cost = [[replace(phase, cost=path.cost) for phase in path.phases] for path in (self.path, *self.finer)]
+        return [TwoComparisons(path, tuple(finer)) for path, *finer in zip(*with_cost, strict=True)]
+
+    @property
+    def better(self) -> PhasesTrajectory:
+        """The last path of higher degree."""
+        return self.finer[-1]
 
     @property
     def errors(self) -> tuple[float, float]:
@@ -218,18 +237,40 @@ class PhasesComparisons:
         """When it is."""
         return max(self._each, key=lambda one: one.step_in_place).step_time
 
-    def mesh(self, tol: float, _: Iterable[float], least: float, of_quantity: bool) -> np.ndarray:
+    def mesh(self, tol: float, goal: float, _: Iterable[float], least: float) -> np.ndarray:
         """Joints of all phases, with which x should be known to `tol`."""
-        meshes = [one.mesh(tol, (), least, of_quantity) for one in self._each]
+        meshes = [one.mesh(tol, goal, (), least) for one in self._each]
         return np.append(np.concatenate([mesh[:-1] for mesh in meshes]), meshes[-1][-1])
 
 
-def compared(path: Any, solve: Callable[[Galerkin, np.ndarray], Any]) -> Any:
-    """Compare a path, or phases, with what `solve` finds with a method on a mesh; held controls have one mesh only."""
-    other = path.t if path.problem.hold else interlaced(path.t, path.problem.breakpoints)
-    method = raised(path.method)
-    compare = TwoComparisons if isinstance(path, ControlTrajectory) else PhasesComparisons
-    return compare(path, solve(method, path.t), solve(method, other))
+def compared(path: Any, solve: Callable[[Galerkin, np.ndarray], Any]) -> Iterator[Any]:
+    """Compare a path, or phases, with what `solve` finds with a method on a mesh: with one path, and then with two."""
+    method, compare = raised(path.method), TwoComparisons if isinstance(path, ControlTrajectory) else PhasesComparisons
+    same = solve(method, path.t)
+    yield compare(path, (same,))
+    # held controls have one mesh only
+    yield compare(path, (same, same if path.problem.hold else solve(method, interlaced(path.t, path.problem.breakpoints))))
+
+
+def switches(path: ControlTrajectory) -> np.ndarray:
+    """Times between which a control comes to one of its bounds or leaves it, (K, 2): those of the points beside.
+
+    Where it does so from point to point, as on singular arcs, nothing is known of when.
+    """
+    low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
+    u, times, marks = path.control.values, path.control.times, section_times(path.problem)
+    slack = AT_BOUND * np.max(np.abs(u), axis=1, keepdims=True, initial=0.0)
+    side = (u >= high - slack).astype(int) - (u <= low + slack)
+    found = list[tuple[float, float]]()
+    for changes in np.diff(side, axis=1):
+        at = np.flatnonzero(changes)
+        for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+            if 0 < len(run) <= 2:
+                first, last = times[run[0]], times[run[-1] + 1]
+                wide = last - first > NARROW * np.ptp(path.t)
+                if wide and np.searchsorted(marks, first) == np.searchsorted(marks, last):
+                    found.append((first, last))
+    return np.reshape(found, (-1, 2))
 
 
 def _distance(path: ControlTrajectory, other: ControlTrajectory) -> float:

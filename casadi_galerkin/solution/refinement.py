@@ -156,9 +156,13 @@ class Refinement(ABC, Generic[Level, Detail]):
             while True:
                 estimate = self.estimate(level)
                 self._report(number, level, estimate)
-                error = self.error(level, estimate)
+                error, asked = self.error(level, estimate)
+                if asked is not None and (self.asked is None or error < (self.asked.asked_error or 0.0)):
+                    self.asked = asked
                 if error <= self.goal:
                     return level, estimate.error
+                if asked is not None:
+                    self.tol = min(estimate.error / 2, max(self.goal, estimate.error * math.sqrt(self.goal / error)))
                 at_floor, nearer = smallest / 2 < error < self.roundoff_level, error < smallest
                 without_improvement = 0 if nearer else without_improvement + 1
                 if nearer or smallest == np.inf:
@@ -181,21 +185,16 @@ class Refinement(ABC, Generic[Level, Detail]):
                     self.check_time()
                     raise
 
-    def error(self, level: Level, estimate: Estimate[Detail]) -> float:
-        """The error of what is asked for, infinite where it is not known; where it is too large, x must be nearer."""
+    def error(self, level: Level, estimate: Estimate[Detail]) -> tuple[float, Trajectory | None]:
+        """The error of what is asked for, infinite where it is not known, and the path that was asked a quantity."""
         if not estimate.trusted:
-            return np.inf
+            return np.inf, None
         if self.of is None:
-            return estimate.error
+            return estimate.error, None
         if estimate.error > self.first_tol:
-            return np.inf
+            return np.inf, None
         path = self.trajectory(level, estimate).asked_for(self.of)
-        error = path.asked_error or 0.0
-        if self.asked is None or error < (self.asked.asked_error or 0.0):
-            self.asked = path
-        if error > self.goal:
-            self.tol = min(estimate.error / 2, max(self.goal, estimate.error / error * self.goal))
-        return error
+        return path.asked_error or 0.0, path
 
     def check_mesh(self, mesh: np.ndarray, estimate: Estimate[Detail]) -> None:
         """Stop where a mesh has too many intervals, or one that is too short."""

@@ -90,14 +90,14 @@ class BetweenPoints:
         """As in `ControlTrajectory`."""
         return np.max(np.abs(self.missed_impulses), axis=0)
 
-    @property
-    def missed_cost(self) -> float:
-        """What the controls as functions of time change the cost by, to first order."""
+    @cached_property
+    def missed_costs(self) -> np.ndarray:
+        """What the controls as functions of time change the cost by, to first order, on every interval; (N,)."""
         values = [
             at_places(self.integrand, *self.along(points))[0].reshape(-1, len(points)) @ weights
             for points, weights in (self._rule, finer_rule(len(self._rule[0])))
         ]
-        return abs(float((values[1] - values[0]) @ np.diff(self.path.t)))
+        return (values[1] - values[0]) * np.diff(self.path.t)
 
     @property
     def flight_error(self) -> float:
