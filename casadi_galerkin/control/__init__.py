@@ -8,6 +8,6 @@ solves it, and `continuous_controls` chooses among controls that act alike; `sec
 optimum that may be and tells minima from saddles, and `failed_optimization` reports failures.  `control_transcription`
 combines all this and starts from a guess, which `initial_guess` reads; `control_answer` makes paths of what was found;
 `starts` tries other guesses, too.  `control_sensitivity` differentiates an optimum, and makes a CasADi Function of it.
-`control_refinement` meets a tolerance by `two_comparisons`, and leaves `idle_breakpoints` out.
+`control_refinement` meets a tolerance by `two_comparisons`.
 This folder imports all that stand before `boundary`, but neither `boundary` nor `stepping`.
 """

@@ -1,13 +1,13 @@
 """Trajectory optimization to a tolerance: solve, estimate the error, and solve again on a better mesh.
 
-Every path is compared with two others of degree m + 2, on its mesh and on an interlaced one: see `two_comparisons`,
-which also proposes the next mesh.  Estimated are the relative errors of cost and duration, and the largest error of x
-at the joints and between them, relative to the size of its component.  The error of the control is not estimated, nor
-is it known whether the optimum is the global one.
+Every path is compared with others of degree m + 2, on its mesh and, if that does not refuse it, on an interlaced one:
+see `two_comparisons`, which also proposes the next mesh.  Estimated are the relative errors of cost and duration, and
+the largest error of x at the joints and between them, relative to the size of its component.  The error of the control
+is not estimated, nor is it known whether the optimum is the global one.
 
 Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
-in place of the coarser path.  Where one of the two others is not found, there is no error estimate, and the next mesh
-has every interval halved.
+in place of the coarser path.  Where one of the others is not found, there is no error estimate, and the next mesh has
+every interval halved.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.control_transcription import SHORTEST_STEP, transcribed_control
-from casadi_galerkin.control.idle_breakpoints import switch_times, with_joined_phases, with_parted_phases
 from casadi_galerkin.control.optimizer import ACCEPTABLE
 from casadi_galerkin.control.starts import distinct_optima, optima_of
 from casadi_galerkin.control.two_comparisons import (
@@ -40,7 +39,7 @@ from casadi_galerkin.control.two_comparisons import (
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases
-from casadi_galerkin.problems.problem import map_times, section_times
+from casadi_galerkin.problems.problem import map_times, section_times, with_values
 from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, Limits
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess
@@ -64,6 +63,21 @@ ABSOLUTE = "The solver's tolerances are absolute: measure in units in which cost
 def control_method_for(tol: float) -> Galerkin:
     """The default method for a tolerance; with its degree, smooth problems need 8 to 20 intervals."""
     return Galerkin(int(np.clip(np.ceil(1 - np.log10(tol)), 4, 10)))
+
+
+def without_idle_breakpoints(problem: Any) -> Any:
+    """The problem without the breakpoints that have a free time, and neither a waypoint nor a jump.
+
+    Nothing determines their times, and a refinement has joints beside all switches.  The bounds of the duration of two
+    joined phases are the sums of their bounds.
+    """
+    if isinstance(problem, Phases) or problem.duration_bounds is None:
+        return problem
+    earliest, latest = (np.cumsum(side)[:-1] for side in problem.duration_bounds)
+    with_event = [t for t, _ in (*problem.waypoints, *problem.jumps)]
+    kept = np.flatnonzero((earliest == latest) | np.isin(problem.breakpoints, with_event))
+    low, high = (tuple(np.add.reduceat(side, [0, *kept + 1]).tolist()) for side in problem.duration_bounds)
+    return with_values(problem, breakpoints=tuple(problem.breakpoints[k] for k in kept), duration_bounds=(low, high))
 
 
 def halved(mesh: np.ndarray) -> np.ndarray:
@@ -102,7 +116,7 @@ class ControlRefinement(Refinement[Any, Any]):
     ) -> None:
         if of is not None and isinstance(problem, Phases):
             raise ValueError("of is asked of the path of one problem, and not of Phases")
-        self.stated, self.problem = problem, with_joined_phases(problem)
+        self.problem = without_idle_breakpoints(problem)
         super().__init__(tol, method, self.problem.breakpoints, limits, verbose, of)
         if of is not None:  # it may be known long before the path
             self.first_tol = FAR_FROM_GUESS
@@ -116,18 +130,14 @@ class ControlRefinement(Refinement[Any, Any]):
         """The optimum of a level whose error is known."""
         assert estimate.detail is not None
         known = estimate.detail.known
-        path, *finer = (with_parted_phases(one, self.stated) for one in (level, *known.finer))
-        path.__dict__["_comparisons"] = replace(known, finer=tuple(finer))  # the class is frozen
-        return path.amended(error_estimate=known.errors[1], cost_error=known.errors[0])
+        level.__dict__["_comparisons"] = known  # the class is frozen
+        return level.amended(error_estimate=known.errors[1], cost_error=known.errors[0])
 
     def answer(self, level: ControlTrajectory, error: float | None) -> ControlTrajectory:
         """The optimum on the mesh of a level, or the one that was asked for a quantity, with its error."""
         if isinstance(self.asked, ControlTrajectory):
             return self.asked
-        path = with_parted_phases(level, self.stated)
-        if path.error_estimate is not None:
-            return path
-        return replace(path, error_estimate=error)
+        return level if level.error_estimate is not None else replace(level, error_estimate=error)
 
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
         """Joints within the phases of a path, mapped to the phases of the problem."""
@@ -194,10 +204,8 @@ class ControlRefinement(Refinement[Any, Any]):
         if detail is None:
             return self.scaled(halved(level.t), level)
         self.check_meshes_help(detail)
-        idle = len(self.stated.breakpoints) > len(self.breakpoints)
-        joints = switch_times(detail.better) if idle else ()
         least = LEAST_PARTS if level is self.best[0] else 1.0  # after a level that came no nearer none are merged
-        return self.scaled(detail.mesh(self.tol, self.goal, joints, least), detail.better)
+        return self.scaled(detail.mesh(self.tol, self.goal, least), detail.better)
 
     def check_meshes_help(self, detail: TwoComparisons) -> None:
         """Stop where no mesh reduces the error: that of a step, or the remaining solver error on two meshes."""
@@ -250,7 +258,7 @@ class ControlRefinement(Refinement[Any, Any]):
             where the solver finds no path on the first mesh, nor on one twice as fine
         """
         if isinstance(guess, ControlTrajectory):
-            guess = replace(guess, problem=with_joined_phases(guess.problem))
+            guess = replace(guess, problem=without_idle_breakpoints(guess.problem))
         self.guess = guess
         try:
             with until(self.began + STARTS_TIME_FRACTION * self.limits.seconds):
@@ -317,7 +325,7 @@ def first_control_discretization(
             and (guess.error_estimate, guess.cost_error) != (None, None)
             and intervals < len(guess.t) - 1 <= limits.intervals
         ):
-            own, other = (section_times(with_joined_phases(stated)) for stated in (guess.problem, problem))
+            own, other = (section_times(without_idle_breakpoints(stated)) for stated in (guess.problem, problem))
             if len(own) == len(other):
                 return method, map_times(guess.t, own, other)
     return method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)

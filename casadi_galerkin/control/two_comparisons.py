@@ -1,21 +1,24 @@
-"""The error of an optimal path, and its next mesh, by comparison with two optimal paths of two degrees more.
+"""The error of an optimal path, and its next mesh, by comparison with optimal paths of two degrees more.
 
-One has the same mesh.  The other has an interlaced one: every joint gives way to two, at parts of the shorter
-interval beside it that differ (`JOINT_BEFORE`, `JOINT_AFTER`), so that no point of the new intervals is where the joint
-was.  Wherever a control switches or meets a bound, a constraint is touched or a callable jumps, the three paths see it
-at different places between different points, and differ by about the error of the first.  Joints that have to stay, at
-the ends and at breakpoints, get another one close by, at `BESIDE_FIXED` of the interval: what happens beside them is
-seen by no other point.  The errors are `SAFETY` times the larger differences of x, of the durations and of the cost.
-Where all three may be wrong in the same way, the errors are at least what else is known of it (`errors`).
+The first has the same mesh; if it differs by more than the tolerance, the path is refused, and nothing more is needed.
+The second has an interlaced mesh: every joint gives way to two, at parts of the shorter interval beside it that differ
+(`JOINT_BEFORE`, `JOINT_AFTER`), so that no point of the new intervals is where the joint was.  Wherever a control
+switches or meets a bound, a constraint is touched or a callable jumps, the three paths see it at different places
+between different points, and differ by about the error of the first.  Joints that have to stay, at the ends and at
+breakpoints, get another one close by, at `BESIDE_FIXED` of the interval: what happens beside them is seen by no other
+point.  The errors are `SAFETY` times the larger differences of x, of the durations and of the cost.  Where all three
+may be wrong in the same way, the errors are at least what else is known of it (`errors`).
 
-The better mesh makes the part of the interlaced path that degree m leaves out equally large on all intervals.  It is
+The better mesh makes the part of the better path that degree m leaves out equally large on all intervals.  It is
 known from its last Legendre coefficients, and scaled to the error.  Where the coefficients do not fall, something
-switches or bends inside, and the interval is split as for a method of order 2: so meshes are graded towards the place.
+bends inside, and the interval is split as for a method of order 2: so meshes are graded towards the place.  Where a
+control switches between two points, the next mesh has joints at both: the interval of the switch shrinks by the
+distance of points from level to level, and its error by the square of that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,7 +44,6 @@ JOINT_BEFORE, JOINT_AFTER = 0.31, 0.23  # distances of new joints from an old on
 BESIDE_FIXED = 0.05  # the same for an old joint that stays
 UNSMOOTH_DECAY = 0.25  # ratio of the last two Legendre coefficients to the two before from which a path is not smooth
 KINK_ORDER = 2  # of the error where it is not: a jump of the acceleration inside a step h changes x by the order of h²
-NARROW = 1e-8
 LEAST_PARTS, MOST_PARTS = 0.25, 4.0  # parts that an interval becomes at once
 NEAR_BARRIER = 1e-4  # first barrier of IPOPT from an earlier path: with 1e-2 a robot arm left its path, and found none
 # Ratio of IPOPT's tolerance to its last barrier.  The barrier keeps values off bounds to which little pushes them, such
@@ -164,15 +166,14 @@ class TwoComparisons:
         """Relative error of durations, and of x at the same fractions of phases."""
         return SAFETY * max(_distance(self.path, other) for other in self.finer)
 
-    def mesh(self, tol: float, goal: float, joints: Iterable[float], least: float) -> np.ndarray:
-        """Joints in the time of the better path, some of them given, with which x should be known to `tol`.
+    def mesh(self, tol: float, goal: float, least: float) -> np.ndarray:
+        """Joints in the time of the better path with which x should be known to `tol`.
 
-        Its intervals become at least `least` parts each.  What else is known to be missed is brought to `goal`, the
-        tolerance of a quantity or of x itself; bounds are kept between the points, for a quantity where the multipliers
-        do not tell of them.
+        Its intervals become at least `least` parts each, but where a switch is between two joints.  What else is known
+        to be missed is brought to `goal`, the tolerance of a quantity or of x itself; bounds are kept between the
+        points, for a quantity where the multipliers do not tell of them.
         """
         mesh, degree, between = self.better.t, self.path.method.degree, self.better.between_points
-        fixed = tuple(sorted({*self.better.problem.breakpoints, *joints}))
         errors, smooth = beyond_degree(self.better)
         errors *= self.change / max(np.max(errors), TINY)
         parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
@@ -184,11 +185,11 @@ class TwoComparisons:
             (of_cost * between.jump_effects, 1, goal),
         ):
             parts = np.maximum(parts, parts_wanted(missed, order, allowed))
-        between_joints = switches(self.better)
-        left, right = (np.searchsorted(mesh, side, "left") for side in between_joints.T)
-        for i, j in zip(left - 1, right, strict=True):
-            parts[max(i, 0) : j] = np.minimum(parts[max(i, 0) : j], 1.0)
-        fixed = tuple(np.unique([*fixed, *between_joints.ravel()]).tolist())
+        beside = switches(self.better)
+        for before, after in beside:
+            inside = slice(np.searchsorted(mesh, before, "right") - 1, np.searchsorted(mesh, after))
+            parts[inside] = np.minimum(parts[inside], 1.0)
+        fixed = tuple(np.unique([*self.better.problem.breakpoints, *beside.ravel()]).tolist())
         cumulated = np.append(0.0, np.cumsum(np.clip(parts, least, MOST_PARTS)))
         counts = np.diff(np.interp([mesh[0], *fixed, mesh[-1]], mesh, cumulated))
         return spread_over(mesh, cumulated, max(FEWEST, int(np.ceil(counts).sum())), fixed)
@@ -237,9 +238,9 @@ class PhasesComparisons:
         """When it is."""
         return max(self._each, key=lambda one: one.step_in_place).step_time
 
-    def mesh(self, tol: float, goal: float, _: Iterable[float], least: float) -> np.ndarray:
+    def mesh(self, tol: float, goal: float, least: float) -> np.ndarray:
         """Joints of all phases, with which x should be known to `tol`."""
-        meshes = [one.mesh(tol, goal, (), least) for one in self._each]
+        meshes = [one.mesh(tol, goal, least) for one in self._each]
         return np.append(np.concatenate([mesh[:-1] for mesh in meshes]), meshes[-1][-1])
 
 
@@ -248,29 +249,8 @@ def compared(path: Any, solve: Callable[[Galerkin, np.ndarray], Any]) -> Iterato
     method, compare = raised(path.method), TwoComparisons if isinstance(path, ControlTrajectory) else PhasesComparisons
     same = solve(method, path.t)
     yield compare(path, (same,))
-    # held controls have one mesh only
-    yield compare(path, (same, same if path.problem.hold else solve(method, interlaced(path.t, path.problem.breakpoints))))
-
-
-def switches(path: ControlTrajectory) -> np.ndarray:
-    """Times between which a control comes to one of its bounds or leaves it, (K, 2): those of the points beside.
-
-    Where it does so from point to point, as on singular arcs, nothing is known of when.
-    """
-    low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
-    u, times, marks = path.control.values, path.control.times, section_times(path.problem)
-    slack = AT_BOUND * np.max(np.abs(u), axis=1, keepdims=True, initial=0.0)
-    side = (u >= high - slack).astype(int) - (u <= low + slack)
-    found = list[tuple[float, float]]()
-    for changes in np.diff(side, axis=1):
-        at = np.flatnonzero(changes)
-        for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
-            if 0 < len(run) <= 2:
-                first, last = times[run[0]], times[run[-1] + 1]
-                wide = last - first > NARROW * np.ptp(path.t)
-                if wide and np.searchsorted(marks, first) == np.searchsorted(marks, last):
-                    found.append((first, last))
-    return np.reshape(found, (-1, 2))
+    mesh = path.t if path.problem.hold else interlaced(path.t, path.problem.breakpoints)  # held controls have one
+    yield compare(path, (same, solve(method, mesh)))
 
 
 def _distance(path: ControlTrajectory, other: ControlTrajectory) -> float:

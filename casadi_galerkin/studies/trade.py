@@ -24,8 +24,8 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import APART, counted, flag
 from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.control.control_refinement import without_idle_breakpoints
 from casadi_galerkin.control.control_transcription import check_solver
-from casadi_galerkin.control.idle_breakpoints import with_joined_phases
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
@@ -274,7 +274,7 @@ def _errors(fine: Trajectory, reference: Reference, of: Quantity | None, path: T
 
 def _marks(problem: Problem) -> list[float]:
     """Times of the ends, and of the breakpoints that mean the same on every path; idle free ones may be anywhere."""
-    return section_times(with_joined_phases(problem) if isinstance(problem, ControlProblem) else problem)
+    return section_times(without_idle_breakpoints(problem) if isinstance(problem, ControlProblem) else problem)
 
 
 def _finest(problem: AnyProblem, best: Trajectory) -> Trajectory:
