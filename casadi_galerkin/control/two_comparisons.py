@@ -253,6 +253,26 @@ def compared(path: Any, solve: Callable[[Galerkin, np.ndarray], Any]) -> Iterato
     yield compare(path, (same, solve(method, mesh)))
 
 
+def switches(path: ControlTrajectory) -> np.ndarray:
+    """Times of the points between which a control comes to one of its bounds or leaves it, (K, 2).
+
+    Where it does so from point to point, as on singular arcs, nothing is known of when; nor are joints needed beside a
+    breakpoint.
+    """
+    low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
+    u, times, marks = path.control.values, path.control.times, section_times(path.problem)
+    slack = AT_BOUND * np.max(np.abs(u), axis=1, keepdims=True, initial=0.0)
+    side = (u >= high - slack).astype(int) - (u <= low + slack)
+    found = list[np.ndarray]()
+    for changes in np.diff(side, axis=1):
+        at = np.flatnonzero(changes)
+        runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
+        found += [times[[run[0], run[-1] + 1]] for run in runs if 0 < len(run) <= 2]
+    beside = np.reshape(found, (-1, 2))
+    wide = np.ptp(beside, axis=1) > np.sqrt(EPS) * np.ptp(path.t)
+    return beside[wide & (np.diff(np.searchsorted(marks, beside), axis=1)[:, 0] == 0)]
+
+
 def _distance(path: ControlTrajectory, other: ControlTrajectory) -> float:
     """Largest relative difference of durations, and of x at the same fractions of phases."""
     marks, others = section_times(path.problem), section_times(other.problem)
