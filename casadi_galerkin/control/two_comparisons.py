@@ -31,8 +31,8 @@ from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.control.optimizer import ACCEPTABLE
-from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.problem import map_times, section_times
+from casadi_galerkin.problems.statements import AT_BOUND
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 from casadi_galerkin.solution.optimal_path import Comparisons, PhasesTrajectory
