@@ -19,7 +19,7 @@ def test_an_answer_is_right_and_a_smooth_problem_has_one(seed):
     assert found.verdict == "right" or (found.verdict == "refused" and not found.trial.smooth)
 
 
-@pytest.mark.parametrize("seed", [6, 32, *slow(153)])
+@pytest.mark.parametrize("seed", [6, 32, 21, *slow(231)])
 def test_a_refusal_names_its_cause(seed):
     trial, tol = trust.trial(seed)
     cause = r"roundoff floor here|conjugate points|near t = .*(breakpoint|singularity)"
@@ -40,8 +40,8 @@ def test_the_table_counts_what_came_of_the_problems(capsys):
 @pytest.mark.slow
 def test_paths_tied_by_almost_nothing_are_right_or_refused(capsys):
     """Of these, 3 were wrong before variations in two degrees were compared."""
-    counted = turning_points.main(count=25)
+    counted = turning_points.main(count=12)
     assert {what for _, what in counted} == {"right", "refused"}
-    assert counted["tied", "right"] > 12 > counted["tied", "refused"] * 10
-    assert counted["tied by less than rounding", "refused"] > 6
+    assert counted["tied", "right"] > 6 > counted["tied", "refused"] * 10
+    assert counted["tied by less than rounding", "refused"] > 3
     assert "tied: " in capsys.readouterr().out

@@ -199,7 +199,7 @@ def test_a_quantity_for_other_processes_is_a_function_of_a_module(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1000, 1006))
+@pytest.mark.parametrize("seed", range(1000, 1003))
 @pytest.mark.parametrize(("degree", "tol"), [(None, 1e-9), (3, 1e-6)])
 def test_quantities_of_random_paths_are_within_their_tolerances(seed, degree, tol):
     """Of 171 paths with eight or nine quantities each, other seeds, none was beyond."""
@@ -217,7 +217,7 @@ def test_quantities_of_random_paths_are_within_their_tolerances(seed, degree, to
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(20, 25))
+@pytest.mark.parametrize("seed", range(20, 23))
 def test_quantities_of_random_optima_are_within_their_tolerances(seed):
     """Of 14 optima with four quantities and two tolerances each, other seeds, none was beyond, and three refused."""
     stated = pushed_swing(seed)
