@@ -14,7 +14,6 @@ fastest.  Points are numbered the same way: quadrature point slowest, then inter
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -29,17 +28,6 @@ BLAS = "classic" if ca.has_blas("classic") else "reference"  # measured: 3 to 5 
 def _times(left: ca.MX, right: np.ndarray | ca.DM) -> ca.MX:
     """Dense product with a constant."""
     return ca.mtimes(left, ca.MX(ca.DM(right)), BLAS)
-
-
-def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Split a sum into rounds in which no target occurs twice: (positions, sorted targets) of each round."""
-    left = np.arange(len(target))
-    while True:
-        targets, chosen = np.unique(target[left], return_index=True)
-        yield left[chosen], targets
-        left = np.delete(left, chosen)
-        if not len(left):
-            return
 
 
 @lru_cache(CACHE_SIZE)
@@ -168,73 +156,67 @@ def assembly(
 
     Of a symmetric matrix only cells of node pairs (a, b) with a >= b are computed; the others are their transposes.
     """
-    element, (a, b) = numbering.method.element, _node_pairs(numbering.method.degree + 1, symmetric)
-    basis, weights = (element.values, element.slopes), element.weights[:, None]
+    element, computed = numbering.method.element, _computed(numbering, symmetric)
+    basis, weights, (a, b) = (element.values, element.slopes), element.weights[:, None], np.nonzero(computed)
     products = np.vstack([weights * basis[i][:, a] * basis[j][:, b] for i, j in blocks])
     inputs = [ca.MX.sym(f"block{i}{j}", len(row), numbering.points) for i, j in blocks]
-    # node pair slowest, then interval, then entry of the pattern
-    entries = ca.vec(_times(_side_by_side(numbering, *inputs), products))
-    pattern = hessian_pattern(numbering, colind, row, symmetric)
-    values = entries.get_nz(False, pattern.first.tolist())
-    for positions, places in pattern.others:  # overlaps at joints; added in place, as a sum of matrices would copy all
-        where = places.tolist()
-        values.nz[where] = values.nz[where] + entries.nz[positions.tolist()]
-    matrix, coefficients = ca.MX(pattern.sparsity, values), _coefficients(numbering)
-    outputs = [matrix, integrated(numbering, *coefficients)]
+    cells = _times(_side_by_side(numbering, *inputs), products)
+    coefficients, pattern = _coefficients(numbering), hessian_pattern(numbering, colind, row, symmetric)
+    outputs = [pattern.matrix(cells), integrated(numbering, *coefficients)]
     names = ["fx", "fv", *(f"block{i}{j}" for i, j in blocks)]
     return ca.Function("assembly", [*coefficients, *inputs], outputs, names, ["matrix", "gradient"])
 
 
-@dataclass(frozen=True)
-class Pattern:
-    """The sparsity of ∇²S, and the entries of all intervals that are summed to each of its nonzeros.
+class Summation:
+    """The sum of entries that belong to rows and columns of a square matrix; those beyond its size are left out.
+
+    Parameters
+    ----------
+    size : of the matrix
+    rows, columns, numbers : (count,) each, of the summands, and their numbers among the entries
 
     Attributes
     ----------
-    sparsity : Sparsity, square and symmetric
-    first : for each nonzero, the position of its first summand among the entries of all intervals
-    others : rounds of further summands: (their positions, the nonzeros that they are added to)
+    sparsity : Sparsity of the matrix
     """
 
-    sparsity: ca.Sparsity
-    first: np.ndarray
-    others: list[tuple[np.ndarray, np.ndarray]]
+    def __init__(self, size: int, rows: np.ndarray, columns: np.ndarray, numbers: np.ndarray) -> None:
+        inside = (rows < size) & (columns < size)
+        numbers, targets = numbers[inside], columns[inside] * size + rows[inside]
+        targets, first, places = np.unique(targets, return_index=True, return_inverse=True)
+        starts = np.searchsorted(targets, size * np.arange(size + 1))
+        self.sparsity = ca.Sparsity(size, size, starts.tolist(), (targets % size).tolist())
+        self._first, self._others = numbers[first].tolist(), np.delete(numbers, first).tolist()
+        into = np.delete(places, first).tolist(), range(len(self._others))
+        self._added = ca.DM(ca.Sparsity.triplet(len(targets), len(self._others), *into), 1.0)
+
+    def matrix(self, entries: ca.MX) -> ca.MX:
+        """The matrix."""
+        entries = ca.vec(entries)
+        first, others = (
+            ca.vec(entries.get_nz(False, at)) for at in (self._first, self._others)
+        )  # an empty one is a row
+        return ca.MX(self.sparsity, ca.mac(ca.MX(self._added), others, first))
+
+
+def _computed(numbering: Numbering, symmetric: bool) -> np.ndarray:
+    """Which cells (m + 1, m + 1) of an interval are computed."""
+    every = np.ones([len(numbering.method.element.nodes)] * 2, dtype=bool)
+    return np.tril(every) if symmetric else every
 
 
 @lru_cache(CACHE_SIZE)
-def hessian_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> Pattern:
-    """Pattern of Eᵀ blockdiag(·) E; the pattern (colind, row) of a block is symmetric and has its diagonal."""
-    position, target = _hessian_entries(numbering, colind, row, symmetric)
-    (first, targets), *others = _contributions(target)
-    columns, rows = np.divmod(targets, numbering.free)
-    starts = np.searchsorted(columns, np.arange(numbering.free + 1))
-    sparsity = ca.Sparsity(numbering.free, numbering.free, starts.tolist(), rows.tolist())
-    rounds = [(position[chosen], np.searchsorted(targets, repeated)) for chosen, repeated in others]
-    return Pattern(sparsity, position[first], rounds)
+def hessian_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> Summation:
+    """The sum of the cells of all intervals; the pattern (colind, row) of a cell is symmetric and has its diagonal.
 
-
-def _node_pairs(nodes: int, symmetric: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs (a, b) of local nodes whose cells are computed, in their order."""
-    if symmetric:
-        return np.tril_indices(nodes)
-    a, b = np.indices((nodes, nodes))
-    return a.ravel(), b.ravel()
-
-
-def _hessian_entries(
-    numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """For every entry of every local Hessian, its position among the computed ones and column-major index in ∇²S."""
-    nodes, count = numbering.method.degree + 1, len(row)
+    Their entries are numbered node pair slowest, then interval, then entry of the pattern.
+    """
+    computed, local = _computed(numbering, symmetric), numbering.local
     row_in, column_in = np.array(row), np.repeat(np.arange(len(colind) - 1), np.diff(colind))
-    transposed = np.lexsort((column_in, row_in))  # position of the transposed entry
-    b, a, entry = (index.ravel() for index in np.indices((nodes, nodes, count)))
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    pair = high * (high + 1) // 2 + low if symmetric else nodes * a + b
-    in_cell = np.where(a >= b, entry, transposed[entry]) if symmetric else entry
-    interval = np.arange(numbering.intervals)[:, None]
-    position = (pair * numbering.intervals + interval) * count + in_cell
-    local = numbering.local
+    a, b, interval, entry = np.ogrid[: len(local), : len(local), : numbering.intervals, : len(row)]
+    cell = np.cumsum(computed).reshape(computed.shape) - 1
+    cell = np.where(computed, cell, cell.T)[:, :, None, None]
+    in_cell = np.where(computed[a, b], entry, np.lexsort((column_in, row_in)))  # else the transposed entry
+    numbers = (cell * numbering.intervals + interval) * len(row) + in_cell
     rows, columns = local[a, interval, row_in[entry]], local[b, interval, column_in[entry]]
-    kept = (rows < numbering.free) & (columns < numbering.free)
-    return position[kept], columns[kept] * numbering.free + rows[kept]
+    return Summation(numbering.free, *(index.ravel() for index in np.broadcast_arrays(rows, columns, numbers)))

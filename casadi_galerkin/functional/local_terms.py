@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.functional.embedding import gathered
+from casadi_galerkin.functional.embedding import Summation, gathered
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.callables import sizes_of_terms
@@ -67,10 +67,6 @@ class LocalTerm:
 
     def matrix(self, numbering: Numbering, jacobian: ca.MX) -> ca.MX:
         """The term's part of ∇²S, from the nonzeros of its jacobian at all places."""
-        row, column = (np.array(index, dtype=int) for index in self.function.sparsity_out(2).get_triplet())
-        rows, columns = self.entries[row].ravel(order="F"), self.entries[column].ravel(order="F")
-        kept = np.flatnonzero((rows < numbering.free) & (columns < numbering.free))
-        shape = numbering.free, numbering.free
-        sparsity, order = ca.Sparsity.triplet(*shape, rows[kept].tolist(), columns[kept].tolist(), False)
-        nonzeros = kept[np.array(order, dtype=int)].tolist()
-        return ca.MX(sparsity, ca.vec(ca.vec(jacobian).get_nz(False, nonzeros)))  # an empty one is a row
+        pattern = (np.array(index, dtype=int) for index in self.function.sparsity_out(2).get_triplet())
+        rows, columns = (self.entries[index].ravel(order="F") for index in pattern)
+        return Summation(numbering.free, rows, columns, np.arange(len(rows))).matrix(jacobian)
