@@ -22,7 +22,7 @@ from casadi_galerkin.control.control_sensitivity import ControlSensitivity, cont
 from casadi_galerkin.control.control_transcription import ControlTranscription, check_solver, transcribed_control
 from casadi_galerkin.control.starts import best_of
 from casadi_galerkin.functional.buffers import interrupts_raised
-from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
+from casadi_galerkin.functional.pointwise import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem

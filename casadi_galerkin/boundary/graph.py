@@ -18,8 +18,8 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.functional.boundary_terms import functional_of, given_values
 from casadi_galerkin.functional.buffers import fork_waits
-from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Data, joints_of
+from casadi_galerkin.functional.pointwise import PointMap
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.solution.errors import ConvergenceError

@@ -22,7 +22,7 @@ from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import GraphCache
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.functional.mapping import PointMap, by_rows
+from casadi_galerkin.functional.pointwise import PointMap, by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import Problem, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, Limits

@@ -22,8 +22,8 @@ from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.functional.buffers import interrupts_raised
-from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.functional.pointwise import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
@@ -54,7 +54,7 @@ class Transcription(BoundaryGraph):
     problem : BoundaryProblem
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`
-    mapping : how L is evaluated at the points, see `functional.mapping`
+    mapping : how L is evaluated at the points, see `functional.pointwise`
 
     Attributes
     ----------

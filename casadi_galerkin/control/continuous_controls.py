@@ -16,7 +16,7 @@ import numpy as np
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.control_numbering import Chain
-from casadi_galerkin.functional.mapping import at_places
+from casadi_galerkin.functional.pointwise import at_places
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 # step of a control from one point to the next, over its range before, beyond which another control is looked for

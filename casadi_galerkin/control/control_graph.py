@@ -27,7 +27,7 @@ from casadi_galerkin.calculus.roundoff import largest_of
 from casadi_galerkin.control.control_numbering import Chain, Field, Numbering
 from casadi_galerkin.control.control_places import all_places, linear
 from casadi_galerkin.functional.buffers import Evaluator
-from casadi_galerkin.functional.mapping import PointMap, one_by_one
+from casadi_galerkin.functional.pointwise import PointMap, one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases, parted, times_free
 

@@ -44,8 +44,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.control.control_numbering import Chain, Numbering
-from casadi_galerkin.functional.mapping import PointMap
-from casadi_galerkin.functional.pointwise import pulled_back
+from casadi_galerkin.functional.pointwise import PointMap, pulled_back
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.phases import Joins

@@ -36,7 +36,7 @@ from casadi_galerkin.control.two_comparisons import (
     compared,
     from_near,
 )
-from casadi_galerkin.functional.mapping import one_by_one
+from casadi_galerkin.functional.pointwise import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.problem import map_times, section_times, with_values

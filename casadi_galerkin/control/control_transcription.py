@@ -50,7 +50,7 @@ from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import LONGER_DURATION, distinct_optima, first_found
 from casadi_galerkin.control.two_comparisons import compared, from_near
 from casadi_galerkin.functional.buffers import Evaluator, fork_waits, interrupts_raised
-from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
+from casadi_galerkin.functional.pointwise import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.control_problem import ControlProblem, determined
 from casadi_galerkin.problems.phases import Phases, parted
@@ -76,7 +76,7 @@ class ControlTranscription:
     problem : ControlProblem or Phases
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`; with a free duration they scale with it
-    mapping : how L, cost and forces are evaluated at the points, see `functional.mapping`
+    mapping : how L, cost and forces are evaluated at the points, see `functional.pointwise`
 
     Attributes
     ----------

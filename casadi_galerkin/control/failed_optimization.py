@@ -18,7 +18,7 @@ from casadi_galerkin.control.control_graph import ControlGraph
 from casadi_galerkin.control.control_numbering import Numbering, Stages, located
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.functional.buffers import Evaluator
-from casadi_galerkin.functional.mapping import at_places
+from casadi_galerkin.functional.pointwise import at_places
 from casadi_galerkin.problems.callables import CONTROLS, POSITIONS, VELOCITIES, entries_within
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.statements import FEASIBLE

@@ -22,10 +22,9 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.local_terms import LocalTerm
-from casadi_galerkin.functional.mapping import PointMap
+from casadi_galerkin.functional.functional import Functional, LocalTerm
 from casadi_galerkin.functional.numbering import Numbering
+from casadi_galerkin.functional.pointwise import PointMap
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.constrained_motion import check_points

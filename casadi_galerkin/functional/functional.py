@@ -15,7 +15,7 @@ Whatever else a problem states beside L is a further term of the same sum:
     S̄  =  S  +  φ(x_0, x_N)  +  μ·ψ(x_0, x_N)  +  Σ Λ_a·g(t_a, x_a)  +  ν·(∫ G dt - c)  +  ε T
                 end action      end conditions    holonomic constraints   given integrals      given energy ε
 
-The first three of them are sums over single places (`local_terms`).  The last two have unknowns that enter at all
+The first three of them are sums over single places (`LocalTerm`).  The last two have unknowns that enter at all
 points: the multipliers ν, as parameters of the Lagrangian L + ν·G, and the duration T.  A force is not a term of S̄, but
 adds its virtual work to the equations (`pointwise`).  Below, ∇S are all equations of the unknowns, and ∇²S is their
 Jacobian.
@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
@@ -33,19 +34,77 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.functional.embedding import (
     Embedded,
+    Summation,
     assembly,
     embedded,
     embedding,
+    gathered,
     integrated,
     summed,
     variation,
 )
-from casadi_galerkin.functional.local_terms import LocalTerm
-from casadi_galerkin.functional.mapping import POINTS_IN_A_ROW, PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, Numbering, kept
-from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.functional.pointwise import POINTS_IN_A_ROW, PointMap, by_rows, one_by_one, pointwise
+from casadi_galerkin.problems.callables import sizes_of_terms
 
 Parts: TypeAlias = tuple[dict[str, ca.MX], dict[str, ca.MX]]  # inputs beside the symbols, and outputs, by name
+
+
+@dataclass(frozen=True)
+class LocalTerm:
+    """A term of the functional at single places: at the ends, or at every node whose position is not given.
+
+    It is a small SX Function of a few entries y of the vector u, the same Function at K places.  Its `rows` are added
+    to the stationarity conditions of these entries, and its `jacobian` is the derivative of the rows by y.  End
+    actions, end conditions and holonomic constraints are such terms; with a multiplier μ among y, the rows of μ·g(x)
+    are (μ·∂g/∂x, g).
+
+    Attributes
+    ----------
+    function : Function (y (n), t (q), parameters, given) -> added, rows (n,), jacobian (n, n), sparse.  `added` are the
+        end action and, if there is a second entry, the work of given momenta, which `Trajectory.action` leaves out
+    entries : (n, K), entries of u that are y at every place
+    times : (q K, N + 1), matrix from the joints to the times of every place
+    symmetric : whether the jacobian is symmetric, that is, whether the rows are the gradient of a function
+    """
+
+    function: ca.Function
+    entries: np.ndarray
+    times: ca.DM
+    symmetric: bool
+
+    def evaluated(self, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX) -> list[ca.MX]:
+        """`added` (1 or 2, K), rows (n, K) and nonzeros of the jacobian (nnz, K)."""
+        added, rows, jacobian = self._at_places(self.function, u, joints, parameters, given)
+        return [added, rows, ca.reshape(ca.MX(jacobian.nz[:]), -1, self.entries.shape[1])]
+
+    def sizes(self, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX) -> ca.MX:
+        """Sums of the sizes of all terms that the rows are made of, (n, K)."""
+        return self._at_places(self._sizes, u, joints, parameters, given)[0]
+
+    @cached_property
+    def _sizes(self) -> ca.Function:
+        symbols = self.function.sx_in()
+        return ca.Function("sizes", symbols, [sizes_of_terms(self.function(*symbols)[1], symbols)])
+
+    def _at_places(
+        self, function: ca.Function, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX
+    ) -> list[ca.MX]:
+        """A Function of the same arguments as `function` at all places."""
+        size, count = self.entries.shape
+        y = ca.reshape(u.get_nz(False, self.entries.ravel(order="F").tolist()), size, count)
+        t = ca.reshape(ca.mtimes(ca.MX(self.times), joints), self.function.size1_in(1), count)
+        return one_by_one(function, count, (2, 3)).call([y, t, parameters, given])
+
+    def gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
+        """Rows (n, K) summed for every unknown."""
+        return gathered(numbering, self.entries.ravel(order="F"), rows)
+
+    def matrix(self, numbering: Numbering, jacobian: ca.MX) -> ca.MX:
+        """The term's part of ∇²S, from the nonzeros of its jacobian at all places."""
+        pattern = (np.array(index, dtype=int) for index in self.function.sparsity_out(2).get_triplet())
+        rows, columns = (self.entries[index].ravel(order="F") for index in pattern)
+        return Summation(numbering.free, rows, columns, np.arange(len(rows))).matrix(jacobian)
 
 
 class Functional:

@@ -34,8 +34,7 @@ from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_valu
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
-from casadi_galerkin.functional.mapping import at_places
-from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.functional.pointwise import at_places, pointwise
 from casadi_galerkin.problems.callables import depends_on_time
 from casadi_galerkin.problems.constrained_motion import tangent_momenta, work_of_constraint
 from casadi_galerkin.problems.legendre_transform import scaled_masses

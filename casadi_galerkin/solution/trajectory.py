@@ -19,7 +19,7 @@ from casadi_galerkin.calculus.mesh_adaptation import truncation_error
 from casadi_galerkin.calculus.numbers import checked_index, counted, number, spanned, told_apart, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import times_within
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.functional.mapping import at_places
+from casadi_galerkin.functional.pointwise import at_places
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities

@@ -15,7 +15,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.functional.interval import SlopeBasis
-from casadi_galerkin.functional.mapping import at_places
+from casadi_galerkin.functional.pointwise import at_places
 from casadi_galerkin.problems.callables import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.functional.mapping import at_places
+from casadi_galerkin.functional.pointwise import at_places
 from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.constrained_motion import motion_of, tangents
 from casadi_galerkin.problems.initial_problem import InitialProblem

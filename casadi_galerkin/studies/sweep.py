@@ -17,7 +17,7 @@ from casadi_galerkin.boundary.transcription import GraphCache, SecondVariation
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.functional.mapping import by_rows
+from casadi_galerkin.functional.pointwise import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import VARIED, check_kind
