@@ -2,7 +2,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_galerkin.functional import mapping
+from casadi_galerkin.functional import pointwise
 
 x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
 INSIDE = ca.Function("inside", [x], [ca.sin(x[0]) * x[1]], {"never_inline": True})
@@ -19,10 +19,10 @@ def function(called=False):
 @pytest.mark.parametrize("shared", [(), (1,)])
 @pytest.mark.parametrize("count", [1, 3, 8, 13, 14])  # 13 points are three rows of four and one point
 def test_rows_give_what_the_points_give(count, shared, called, monkeypatch):
-    monkeypatch.setattr(mapping, "POINTS_IN_A_ROW", 5)
+    monkeypatch.setattr(pointwise, "POINTS_IN_A_ROW", 5)
     f, random = function(called), np.random.default_rng(count)
     at = random.uniform(size=(2, count)), np.array([[1.7]]) if shared else random.uniform(size=(1, count))
-    rows, points = mapping.by_rows(f, count, shared), mapping.one_by_one(f, count, shared)
+    rows, points = pointwise.by_rows(f, count, shared), pointwise.one_by_one(f, count, shared)
     assert rows.name_in() == ["x", "p"]
     assert rows.name_out() == ["a", "b", "c"]
     for row, point in zip(rows.call(at), points.call(at), strict=True):
@@ -30,10 +30,10 @@ def test_rows_give_what_the_points_give(count, shared, called, monkeypatch):
 
 
 def test_rows_can_be_differentiated(monkeypatch):
-    monkeypatch.setattr(mapping, "POINTS_IN_A_ROW", 5)
+    monkeypatch.setattr(pointwise, "POINTS_IN_A_ROW", 5)
     f, count, at = function(), 13, np.random.default_rng(1).uniform(size=(2, 13))
     jacobians = []
-    for over in (mapping.by_rows, mapping.one_by_one):
+    for over in (pointwise.by_rows, pointwise.one_by_one):
         values, parameter = ca.MX.sym("x", 2, count), ca.MX.sym("p")
         jacobian = ca.jacobian(ca.sum2(over(f, count, (1,))(values, parameter)[0]), ca.veccat(values, parameter))
         jacobians.append(np.array(ca.Function("j", [values, parameter], [jacobian])(at, 1.7)))
