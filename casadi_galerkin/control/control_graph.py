@@ -10,6 +10,9 @@ and at every place z_k the cost c_k and the rows e_k,
 The y are the unknowns in ξ.  The multipliers λ of the equations of motion are a discrete path, and (Θᵀλ)_k = w_k (δx,
 δx') is its embedding at the point, weighted.  The inputs, or the outputs, at all places of one kind are one matrix with
 a column for every place.
+
+A violation is relative to what is compared: the terms of an equation, or the largest value of a bounded kind, in which
+rounding `EPS` is never a violation.
 """
 
 from __future__ import annotations
@@ -23,18 +26,23 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.roundoff import largest_of
-from casadi_galerkin.control.control_numbering import Chain, Field, Numbering
+from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
+from casadi_galerkin.control.control_numbering import Chain, Field, Numbering, ProgramBounds
 from casadi_galerkin.control.control_places import all_places, linear
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.pointwise import PointMap, one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases, parted, times_free
+from casadi_galerkin.problems.statements import FEASIBLE, bound_excess
 
 ROUNDOFF_ONLY = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
 # part of the cost of a change as large as the path itself above which the cost measures its own errors: the cost of a
 # path that follows a curve exactly is that of its errors, which falls with any mesh
 LEAST_COST = 1e-6
+
+
+VANISHED = 1e3 * EPS  # terms over those along the guess below which they are rounding
+LEAST_SIZE = EPS / FEASIBLE  # size of terms, over that of what they are part of, from which their rounding is feasible
 
 
 @dataclass(frozen=True)
@@ -271,3 +279,42 @@ def meshes_of(phases: Sequence[ControlProblem], mesh: np.ndarray) -> list[np.nda
     """The joints of every phase, of those of the whole."""
     cuts = np.searchsorted(mesh, [phase.t_span[1] for phase in phases]).tolist()
     return [mesh[first : last + 1] for first, last in pairwise([0, *cuts])]
+
+
+def equation_scales(numbering: Numbering, bounds: ProgramBounds, report: Report, before: np.ndarray) -> np.ndarray:
+    """Sizes of the terms of the equations, to which their residuals are relative; (equations,).
+
+    For the equations of motion of a component it is the largest sum of the sizes of the terms of one of them along the
+    path; for a path constraint or an end condition g it is |∇g||z|, or its finite bound if that is larger.  Where these
+    terms are only rounding of those along the guess (`before`, by kind), it is the latter.  All are at least a rounding
+    of a rounding, for a rate a rounding of its given positions.
+    """
+    least, stated = np.full(len(before), LEAST_SIZE), largest_of(_finite_sizes(bounds.equations), numbering.kinds)
+    for chain in numbering.chains:
+        given = np.max(_finite_sizes(bounds.unknowns)[chain.fields["x"][:, chain.mechanical :]], axis=0)
+        least[chain.rated] = np.fmax(least[chain.rated], np.minimum(or_one(given), 1.0))
+    sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
+    return or_one(np.fmax(np.fmax(sizes, stated), LEAST_SIZE * least))[numbering.kinds]
+
+
+def violations(
+    numbering: Numbering, bounds: ProgramBounds, unknowns: np.ndarray, equations: np.ndarray, scales: np.ndarray
+) -> np.ndarray:
+    """Violation of every equation, relative to its scale, then of every unknown's bounds, relative to its kind's size.
+
+    A value outside its bounds is not compared with itself: where an equation and a bound leave a single value, IPOPT
+    moves the bound by rounding, and a value that should be zero is then as large as this shift.
+    """
+    kinds, stated = numbering.unknown_kinds, or_one(_finite_sizes(bounds.unknowns))
+    sizes = np.maximum(largest_of(np.abs(unknowns), kinds), LEAST_SIZE * largest_of(stated, kinds))[kinds]
+    return np.concatenate((_excess(equations, *bounds.equations) / scales, _excess(unknowns, *bounds.unknowns) / sizes))
+
+
+def _finite_sizes(sides: np.ndarray) -> np.ndarray:
+    """Larger sizes of the finite ones of lower and upper bounds (2, n); zero where there is none."""
+    return np.max(np.where(np.isfinite(sides), np.abs(sides), 0.0), axis=0)
+
+
+def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Distances of values from their bounds; infinite where the values are not finite."""
+    return np.where(np.isfinite(values), bound_excess(values, low, high), np.inf)

@@ -1,11 +1,12 @@
-"""The numbering of the unknowns and of the equations of an optimization, phase by phase and stage by stage.
+"""The numbering of the unknowns and of the equations of an optimization, phase by phase and stage by stage; bounds.
 
 All unknowns and all data of an optimization are one vector ξ = (unknowns, data), phase by phase.  The unknowns of a
 phase form a chain of N + 1 stages.  At every joint there is a state: x, p and the free constants, which are the time of
 the start, the duration and parameters.  The other unknowns of a stage belong to the interval after the joint: the
 values of the path at the other nodes, the controls, and the impulses of a constraint.  The velocities at the two ends
 are further unknowns of the first and of the last stage.  The equations of a stage are first those that determine the
-next state, and then all others.  Behind the equations of all phases are those that join them.
+next state, and then all others.  Behind the equations of all phases are those that join them.  What a
+problem gives and bounds are bounds of these numbers.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import dataclass, replace
 from itertools import chain as chained
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -25,6 +27,8 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.problems.callables import VELOCITIES, rows_that_depend
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.phases import Joins
+from casadi_galerkin.problems.problem import ENDS
 
 
 @dataclass(frozen=True)
@@ -350,3 +354,79 @@ class Numbering:
         for chain, arrays in zip(self.chains, values, strict=True):
             units[chain.motions] = arrays["sizes"]
         return units[self.kinds]
+
+
+@dataclass(frozen=True)
+class ProgramBounds:
+    """Lower and upper bounds of the unknowns, (2, unknowns), and of the equations, (2, equations)."""
+
+    unknowns: np.ndarray
+    equations: np.ndarray
+
+    def narrowed(self, relaxed: float) -> ProgramBounds:
+        """Bounds that become these after a solver relaxes every bound b by this part of max(1, |b|)."""
+        narrow = list[np.ndarray]()
+        for sides in (self.unknowns, self.equations):
+            low, high = sides
+            moves = relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(sides), np.abs(sides), 1.0))
+            moved = sides + moves * [[1], [-1]]
+            crossed = moved[0] > moved[1]  # what has no room between its bounds is fixed in the middle
+            moved[:, crossed] = (low[crossed] + high[crossed]) / 2
+            narrow.append(moved)
+        return ProgramBounds(*narrow)
+
+
+def bounds_of(
+    phases: Sequence[ControlProblem], joins: Joins, numbering: Numbering, implied: bool = False
+) -> ProgramBounds:
+    """Bounds of the unknowns and of the equations; for given values both bounds are equal.
+
+    Free constants are bounded at the last joint only, because they are equal at all joints.  Equations of a constraint
+    that are satisfied anyway, by given ends or by the phase before, are not imposed, unless `implied` is set.
+    """
+    sides, equations = np.full((2, numbering.size), [[-np.inf], [np.inf]]), np.zeros((2, numbering.equations))
+    for k, (problem, chain) in enumerate(zip(phases, numbering.chains, strict=True)):
+        f, rows, velocity = chain.fields, chain.rows, np.array(problem.velocity_bounds)[:, : chain.mechanical]
+        for index, given in (
+            (f["x"], problem.position_bounds),
+            (f["nodes"][:, :-1], problem.position_bounds),
+            (f["controls"], problem.control_bounds),
+            (f["start_velocity"], velocity),
+            (f["end_velocity"], velocity),
+            (f["begin"][-1], problem.initial_time_bounds or (None if k else (problem.t_span[0],) * 2)),
+            (f["duration"][-1], problem.duration_bounds),
+            (f["parameters"][-1], problem.parameter_bounds),
+        ):
+            if given is not None:
+                _limit(sides, index, given)
+        joints = dict(zip(problem.breakpoints, chain.breaks.tolist(), strict=True))
+        places = [(f["x"][joints.get(t, -1)], np.transpose(place)) for t, place in problem.waypoints]
+        for index, (low, high) in [(f["x"][0], np.array(problem.start_bounds)), *places]:
+            _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
+        (_, *first, _), (_, *last, _) = problem.given_at_ends.values()
+        at_ends = f["x"][0], f["start_velocity"], f["x"][-1], f["end_velocity"]
+        for index, values in zip(at_ends, (*first, *last), strict=True):
+            stated = np.flatnonzero(np.isfinite(values[: len(index)]))
+            sides[:, index[stated]] = values[stated]
+        changes = np.array(problem.control_rate_bounds)[:, : chain.changes]
+        for name, limits in (
+            ("path", problem.limits[1:]),
+            ("ends", chain.end_conditions[1:]),
+            ("changes", changes),
+            ("joint_changes", changes),
+        ):
+            _limit(equations, rows[name], limits)
+        of_constraint = rows["start_constraint"], rows["constraint"][-1, -1]
+        goes_on = k > 0 and phases[k - 1].constraint is not None, False
+        for name, held, on, satisfied in zip(ENDS, of_constraint, goes_on, problem.constraint_satisfied, strict=True):
+            for index, anyway in zip((held, rows[f"{name}_tangent"]), satisfied, strict=True):
+                free = np.where((anyway | on) & (not implied), np.inf, 0.0)
+                _limit(equations, index, (-free, free))
+    _limit(equations, slice(numbering.equations - len(joins.conditions[1]), None), joins.conditions[1:])
+    return ProgramBounds(sides[:, : numbering.unknowns], equations)
+
+
+def _limit(sides: np.ndarray, index: np.ndarray | slice, bounds: ArrayLike) -> None:
+    """Set lower and upper bounds, (2, count), of the entries (..., count) of two long vectors."""
+    for side, bound in zip(sides, np.asarray(bounds), strict=True):
+        side[index] = bound

@@ -22,11 +22,10 @@ import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
-from casadi_galerkin.control.control_graph import ControlGraph
-from casadi_galerkin.control.control_numbering import Numbering
+from casadi_galerkin.control.control_graph import ControlGraph, equation_scales
+from casadi_galerkin.control.control_numbering import Numbering, bounds_of
 from casadi_galerkin.control.initial_guess import starting_point
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, Optimum
-from casadi_galerkin.control.program_bounds import bounds_of, equation_scales
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.problems.phases import parted
@@ -284,7 +283,7 @@ def control_function(transcription: Any, path: ControlTrajectory, solver: Solver
     problem, graph, numbers = transcription.problem, transcription.graph, transcription.numbering
     start = starting_point(graph, problem, transcription.calculus, path)
     unknowns, p = numbers.pack(start.values)
-    sizes = equation_scales(transcription.phases, numbers, transcription.bounds, graph.report(unknowns, p), start.sizes)
+    sizes = equation_scales(numbers, transcription.bounds, graph.report(unknowns, p), start.sizes)
     data = data_of(problem, numbers, p, GIVEN)
     values = {name: ca.MX.sym(name, *shape) for name, shape in data.shapes.items()}
     inputs, known = ca.vertcat(*values.values()), ca.fabs(ca.vertcat(*values.values())) < np.inf

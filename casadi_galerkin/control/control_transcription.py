@@ -26,7 +26,8 @@ from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.control_answer import answer
-from casadi_galerkin.control.control_graph import ControlGraph, meshes_of
+from casadi_galerkin.control.control_graph import ControlGraph, equation_scales, meshes_of, violations
+from casadi_galerkin.control.control_numbering import Numbering, ProgramBounds, bounds_of
 from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
 from casadi_galerkin.control.initial_guess import starting_point
 from casadi_galerkin.control.optimizer import (
@@ -38,13 +39,6 @@ from casadi_galerkin.control.optimizer import (
     with_fatrop,
     with_ipopt,
     with_sqp,
-)
-from casadi_galerkin.control.program_bounds import (
-    bounds_of,
-    check_count,
-    check_stages,
-    equation_scales,
-    violations,
 )
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.control.starts import LONGER_DURATION, distinct_optima, first_found
@@ -113,7 +107,7 @@ class ControlTranscription:
             self.graph = ControlGraph(problem, method, mesh, mapping)
         self.numbering, self.joins = self.graph.numbering, self.graph.joins
         self.bounds = bounds_of(self.phases, self.joins, self.numbering)
-        check_count(self.numbering, self.bounds)
+        _check_count(self.numbering, self.bounds)
         self._solvers: dict[str, Evaluator] = {}
         self.build_seconds = time.perf_counter() - began
 
@@ -245,7 +239,7 @@ class ControlTranscription:
                     found["controls"] = continuous_controls(phase, chain, path, found)
                     optimum.unknowns[chain.fields["controls"]] = found["controls"]
             report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-            scales = equation_scales(phases, numbers, optimum.bounds, report, start.sizes)
+            scales = equation_scales(numbers, optimum.bounds, report, start.sizes)
             relative = violations(numbers, optimum.bounds, optimum.unknowns, report.equations, scales)
             violation = float(np.max(relative))
             if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
@@ -296,8 +290,7 @@ class ControlTranscription:
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """Build the solver for this program."""
         if solver.name == fatrop.name:
-            check_stages(self.phases, self.numbering, self.bounds)
-            return with_fatrop(self.graph, verbose, solver.options)
+            return with_fatrop(self.graph, self.bounds, verbose, solver.options)
         if solver.name == sqp.name:
             return with_sqp(self.graph, verbose, solver.options)
         return with_ipopt(self.graph, warm, verbose, solver.options)
@@ -344,6 +337,32 @@ def _below(saddle: Any, optimum_from: Callable[..., Optimum], verified: Callable
             report = f"{least.solver}, beside a saddle of cost {saddle.cost:.6g}"
             return replace(least, solver=report, iterations=iterations)
     return replace(saddle, iterations=iterations)
+
+
+def _check_count(numbering: Numbering, bounds: ProgramBounds) -> None:
+    """Refuse more equations than unknowns, as on a very coarse mesh; equations of the next states are not counted."""
+    chains = numbering.chains
+    passed = sum(sum(states for states, *_ in chain.stages[1:]) + chain.mechanical for chain in chains)
+    equations = int(np.count_nonzero(np.equal(*bounds.equations))) - passed
+    unknowns = int(np.count_nonzero(np.less(*bounds.unknowns))) - passed
+    if equations > unknowns:
+        fixed = all(np.equal(*bounds.unknowns[:, chain.fields["controls"]]).all() for chain in chains)
+        tied = sum(int(np.count_nonzero(np.equal(*bounds.equations[:, chain.rows["path"]]))) for chain in chains)
+        advice = "take more intervals, a higher degree or more controls, or free a component"
+        if tied:
+            advice = (
+                f"{tied} of them are path_constraint with equal bounds, at every quadrature point: leave out the "
+                "controls that they determine, or state what positions alone have to meet as `constraint`"
+            )
+        if fixed:
+            advice = (
+                "control_bounds whose sides are equal leave no control free, and the start alone determines the path: "
+                "give control_bounds with room, or free the end with None"
+            )
+        raise ValueError(
+            f"{counted(equations, 'equation')} for {counted(unknowns, 'unknown')} on "
+            f"{counted(sum(c.intervals for c in chains), 'interval')} of degree {chains[0].method.degree}: {advice}"
+        )
 
 
 def _check_steps(mesh: np.ndarray) -> None:

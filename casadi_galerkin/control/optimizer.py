@@ -15,7 +15,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS, largest_of, or_one
 from casadi_galerkin.control.control_graph import ControlGraph
-from casadi_galerkin.control.program_bounds import ProgramBounds
+from casadi_galerkin.control.control_numbering import Numbering, ProgramBounds
 from casadi_galerkin.functional.buffers import Evaluator, evaluating
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.problems.statements import FEASIBLE
@@ -93,8 +93,9 @@ def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str
     return _built(graph, "ipopt", verbose, {**derivatives, "calc_lam_p": False, "no_nlp_grad": True}, options)
 
 
-def with_fatrop(graph: ControlGraph, verbose: int, given: Mapping[str, Any]) -> ca.Function:
+def with_fatrop(graph: ControlGraph, bounds: ProgramBounds, verbose: int, given: Mapping[str, Any]) -> ca.Function:
     """Build fatrop for a program, stage by stage; arguments as for `with_ipopt`.  It does not start warm."""
+    _check_stages(graph.numbering, bounds)
     (chain,) = graph.numbering.chains
     states, others, equations = (list(column) for column in zip(*chain.stages, strict=True))
     structure = {"N": chain.intervals, "nx": states, "nu": others, "ng": equations}
@@ -105,6 +106,30 @@ def with_fatrop(graph: ControlGraph, verbose: int, given: Mapping[str, Any]) -> 
     derivatives = {"nlp_grad_f": gradient, "nlp_jac_g": graph.jacobian, "nlp_hess_l": graph.whole_hessian}
     staged = {"cache": derivatives, "structure_detection": "manual", **structure}
     return _built(graph, "fatrop", verbose, staged, options)
+
+
+def _check_stages(numbering: Numbering, bounds: ProgramBounds) -> None:
+    """Refuse problems that fatrop cannot divide into stages, or refuses itself when it runs."""
+    if len(numbering.chains) > 1:
+        raise ValueError("fatrop takes no phases, such as jumps and breakpoints with free times make: take cg.ipopt")
+    (chain,) = numbering.chains
+    if chain.changes:
+        raise ValueError("fatrop takes no control_rate_bounds, which join intervals: take cg.ipopt")
+    if any(chain.end_conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
+        raise ValueError(
+            "fatrop takes end_conditions on the end alone, stage by stage: give what is known of the start as "
+            "start and start_velocity, or take cg.ipopt"
+        )
+    states, others, counts = (np.array(column) for column in zip(*chain.stages, strict=True))
+    rows, unknowns = np.cumsum(np.append(states[1:], 0) + counts), np.cumsum(states + others)
+    fixed, given = (np.append(0, np.cumsum(np.equal(*sides))) for sides in (bounds.equations, bounds.unknowns))
+    equations = fixed[rows] - fixed[rows - counts] + given[unknowns] - given[unknowns - states - others]
+    for i in np.flatnonzero(equations > states + others)[:1]:
+        where = f"interval {i}" if i < chain.intervals else "the end"
+        raise ValueError(
+            f"fatrop takes no more equations than unknowns in a stage, got {equations[i]} for {states[i] + others[i]} "
+            f"at {where}: state nothing twice, or take cg.ipopt"
+        )
 
 
 def with_sqp(graph: ControlGraph, verbose: int, given: Mapping[str, Any]) -> ca.Function:
