@@ -14,7 +14,7 @@ from casadi_galerkin.calculus.roundoff import ZERO
 
 OneOrMore: TypeAlias = float | Sequence[float | None]  # of all components, or of the only one
 
-APART = 1e-12  # least relative difference of two times; between nearer ones velocities would be roundoff
+APART = 1e-12  # least relative difference of two given numbers, as of times; what is less is taken for their rounding
 
 
 def number(value: Any) -> float | None:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
-from typing import Any, Literal, TypeAlias, TypeGuard, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -60,64 +60,18 @@ def trace(
     if isinstance(function, ca.Function):
         taken = sizes if function.n_in() == len(sizes) else taken  # as of a problem whose fields are replaced
         _check_function(name, function, taken, shapes)
-    elif not callable(function):
+    elif callable(function):
+        _check_signature(name, function, list(taken))
+    else:
         raise TypeError(f"{name} must be a callable of ({', '.join(taken)}), got {function!r}")
-    traced = function if _is_traced(function, sizes, rows) else _traced(name, function, sizes, taken, rows, shapes)
-    kinds = [traced.instruction_id(k) for k in range(traced.n_instructions())]
-    if ca.OP_CALL in kinds:
-        try:
-            traced.jacobian()
-        except RuntimeError as error:
-            raise TypeError(f"{name} calls a casadi Function that has no derivatives, as a Callback alone") from error
-    constants = (k for k, kind in enumerate(kinds) if kind == ca.OP_CONST)
-    if any(math.isnan(traced.instruction_constant(k)) for k in constants):  # such as float() of a symbol in math.cos(x)
-        raise TypeError(
-            f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"
-        )
-    for value in ca.vertsplit(traced(*traced.sx_in())):
-        if any(value.is_op(comparison) for comparison in TRUTH_VALUES.intersection(kinds)):
-            raise TypeError(
-                f"{name} must return numbers, got a comparison, which has no derivative: write x - 1 for x == 1, and "
-                "x with the bounds of its values for x <= 1"
-            )
-    return traced
-
-
-def _is_traced(function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> TypeGuard[ca.Function]:
-    """Whether a Function needs no tracing: an SX Function from columns to one column, without structural zeros."""
-    if not (isinstance(function, ca.Function) and function.is_a("SXFunction")):
-        return False
-    inputs, output = [function.sparsity_in(i) for i in range(function.n_in())], function.sparsity_out(0)
-    shapes = [(size, 1) for size in sizes.values()]
-    length = output.size1() if rows == "any" else 1 if rows == "scalar" else rows
-    dense = all(sparsity.is_dense() for sparsity in (*inputs, output))
-    return dense and [sparsity.shape for sparsity in inputs] == shapes and output.shape == (length, 1)
-
-
-def _traced(
-    name: str, function: Traceable, sizes: Mapping[str, int], taken: Iterable[str], rows: int | Rows, shapes: str
-) -> ca.Function:
-    """A callable of the arguments that it has `taken` as a Function of all, from columns to one column."""
-    _check_signature(name, function, list(taken))
     symbols = {key: ca.SX.sym(key, size) for key, size in sizes.items()}
-    copies = {key: symbols[key][:] for key in taken}  # which it may change
-    value = _called(name, function, copies, shapes)
-    if isinstance(value, (list, tuple, np.ndarray)) and rows != "scalar":
-        try:
-            value = ca.vertcat(*value)
-        except (NotImplementedError, TypeError) as error:
-            raise TypeError(f"{name} must return one CasADi expression per component, got {value!r}") from error
-    if not isinstance(value, (ca.SX, ca.DM)) and number(value) is None:
-        raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
-    value = ca.SX(value) if not isinstance(value, ca.SX) else value
-    length = value.numel() if rows == "any" else 1 if rows == "scalar" else rows
-    if value.shape != (length, 1):
-        expected = {"any": "a column vector", "scalar": "a scalar"}.get(str(rows), f"a vector of length {rows}")
-        raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
-    value = ca.densify(value)
-    names, options = [list(sizes), ["value"]], {"allow_free": True}
-    traced = ca.Function(name.replace(" ", "_"), [*symbols.values()], [value], *names, options)
+    value = ca.densify(_column(name, function, {key: symbols[key][:] for key in taken}, rows, shapes))
+    options = {"allow_free": True}
+    traced = ca.Function(name.replace(" ", "_"), [*symbols.values()], [value], list(sizes), ["value"], options)
+    if isinstance(function, ca.Function) and str(function).partition(":")[2] == str(traced).partition(":")[2]:
+        traced = function  # of these inputs, all dense, and of this output
     _refuse_free(name, traced, shapes)
+    _check_values(name, traced)
     return traced
 
 
@@ -136,6 +90,45 @@ def _check_function(name: str, function: ca.Function, sizes: Mapping[str, int], 
 def _refuse_free(name: str, function: ca.Function, shapes: str) -> None:
     if function.has_free():
         raise ValueError(f"{name} depends on {', '.join(function.get_free())} besides its arguments {shapes}")
+
+
+def _check_values(name: str, traced: ca.Function) -> None:
+    """Refuse values without derivatives: of Callbacks, of constants that are not numbers, and comparisons."""
+    kinds = [traced.instruction_id(k) for k in range(traced.n_instructions())]
+    if ca.OP_CALL in kinds:
+        try:
+            traced.jacobian()
+        except RuntimeError as error:
+            raise TypeError(f"{name} calls a casadi Function that has no derivatives, as a Callback alone") from error
+    constants = (k for k, kind in enumerate(kinds) if kind == ca.OP_CONST)
+    if any(math.isnan(traced.instruction_constant(k)) for k in constants):  # such as float() of a symbol in math.cos(x)
+        raise TypeError(
+            f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"
+        )
+    for value in ca.vertsplit(traced(*traced.sx_in())):
+        if any(value.is_op(comparison) for comparison in TRUTH_VALUES.intersection(kinds)):
+            raise TypeError(
+                f"{name} must return numbers, got a comparison, which has no derivative: write x - 1 for x == 1, and "
+                "x with the bounds of its values for x <= 1"
+            )
+
+
+def _column(name: str, function: Traceable, arguments: Mapping[str, ca.SX], rows: int | Rows, shapes: str) -> ca.SX:
+    """The value of a callable of symbols, which it may change, as one column."""
+    value = _called(name, function, arguments, shapes)
+    if isinstance(value, (list, tuple, np.ndarray)) and rows != "scalar":
+        try:
+            value = ca.vertcat(*value)
+        except (NotImplementedError, TypeError) as error:
+            raise TypeError(f"{name} must return one CasADi expression per component, got {value!r}") from error
+    if not isinstance(value, (ca.SX, ca.DM)) and number(value) is None:
+        raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
+    value = ca.SX(value)
+    length = value.numel() if rows == "any" else 1 if rows == "scalar" else rows
+    if value.shape != (length, 1):
+        expected = {"any": "a column vector", "scalar": "a scalar"}.get(str(rows), f"a vector of length {rows}")
+        raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
+    return value
 
 
 def _names(function: Any) -> list[str]:
@@ -220,7 +213,7 @@ def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None)
     if parameters is None or function is None:
         return function
     symbols = function.sx_in()[:-1]
-    return ca.Function(function.name(), symbols, [function(*symbols, ca.DM(parameters))])
+    return ca.Function(function.name(), symbols, function.call([*symbols, ca.SX(ca.DM(parameters))]))
 
 
 def entries_of(function: ca.Function, argument: int) -> set[int]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lobatto_points
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import APART, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
 from casadi_galerkin.problems.callables import (
@@ -32,7 +32,6 @@ from casadi_galerkin.problems.callables import (
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
-CONSTRAINT_TOLERANCE = 1e-12  # accepted violation by a given position or velocity, relative to the terms of g
 # Violation of a constraint between the nodes, over the change of g along the path, from which a path is refused.  One
 # chord of an arc has 0.09; jumps through the center of a circle were measured at 0.16 to 0.25.
 LARGEST_VIOLATION = 0.1
@@ -55,12 +54,12 @@ def relative_residuals(
 ) -> ca.Function:
     """(symbols, further) -> residuals (k,), these over what is accepted as rounding, and derivatives (k, n).
 
-    The derivatives are those by the symbols.  Accepted are `CONSTRAINT_TOLERANCE` of every symbol, or of its `least`
+    The derivatives are those by the symbols.  Accepted are `APART` of every symbol, or of its `least`
     size, times the derivative by it, and eps of all terms.  The time is among the symbols: its rounding counts, too.
     """
     slopes, inputs = ca.densify(ca.jacobian(value, ca.vertcat(*symbols))), [*symbols, *further]
     sizes = ca.fmax(ca.fabs(ca.vertcat(*symbols)), least)
-    accepted = CONSTRAINT_TOLERANCE * ca.mtimes(ca.fabs(slopes), sizes) + EPS * sizes_of_terms(value, inputs) + TINY
+    accepted = APART * ca.mtimes(ca.fabs(slopes), sizes) + EPS * sizes_of_terms(value, inputs) + TINY
     return ca.Function("over_terms", inputs, [value, ca.fabs(value) / accepted, slopes])
 
 

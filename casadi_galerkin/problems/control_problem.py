@@ -68,27 +68,27 @@ def _beside_a_constraint(problem: Any) -> Iterator[str]:
         yield "a problem with a constraint takes no jumps, and no functions as waypoints"
 
 
-def _of_velocities(problem: Any) -> list[tuple[str, ca.Function, tuple[int, ...]]]:
-    """What must not depend on velocities that are rates: by name, and which arguments are velocities."""
-    stated = [
-        ("force", problem.force, (2,)),
-        ("rates", problem.rates, (2,)),
-        ("terminal_cost", problem.terminal_cost, (2,)),
-        ("initial_cost", problem.initial_cost, (2,)),
-        ("end_conditions", problem.end_conditions[0], (1, 3)),
-        *((f"the waypoint at t = {t:g}", g, (1,)) for t, (g, *_) in problem.conditions_on_the_way.items()),
-        *((f"the jump at t = {t:g}", law, (1,)) for t, law in problem.jumps),
-    ]
-    return [(name, function, velocities) for name, function, velocities in stated if function is not None]
+def _functions(problem: Any) -> Iterator[tuple[str, ca.Function]]:
+    """All that a problem calls along its path, at its ends and on its way, with its name."""
+    for name, value in vars(problem).items():
+        function = value[0] if isinstance(value, tuple) and value else value
+        if isinstance(function, ca.Function):
+            yield name, function
+    for t, (g, *_) in problem.conditions_on_the_way.items():
+        yield f"the waypoint at t = {t:g}", g
+    for t, law in problem.jumps:
+        yield f"the jump at t = {t:g}", law
 
 
 def _velocities_of_rates(problem: Any) -> Iterator[str]:
     """The velocity of a component that follows a rate is that rate: nothing else states it, or depends on it."""
     rated = range(problem.mechanical, problem.dimension)
-    for name, function, velocities in _of_velocities(problem):
+    for name, function in _functions(problem):
+        velocities = [k for k, argument in enumerate(function.name_in()) if argument[0] == "v"]
         for i in sorted({i for k in velocities for i in entries_of(function, k) if i in rated}):
-            yield f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead"
-    for name in ("start_velocity", "end_velocity"):
+            if name not in ("running_cost", "path_constraint"):
+                yield f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead"
+    for name in END_MOTIONS[:2]:
         for i in rated:
             if getattr(problem, name)[i] is not None:
                 yield f"x[{i}] follows a rate: {name}[{i}] must be None, got {getattr(problem, name)[i]}"
@@ -96,13 +96,10 @@ def _velocities_of_rates(problem: Any) -> Iterator[str]:
 
 def _unused(problem: Any) -> Iterator[str]:
     """A control or a free parameter that nothing depends on: its value would be arbitrary."""
-    along = problem.along
-    for i in sorted(set(range(problem.controls)).difference(*(entries_of(f, CONTROLS) for f in along))):
+    for i in sorted(set(range(problem.controls)).difference(*(entries_of(f, CONTROLS) for f in problem.along))):
         yield f"the control u[{i}] occurs in no force, rate, cost or constraint"
-    others = [function for _, function, _ in _of_velocities(problem)]
-    users = [f for f in (*along, *others, problem.lagrangian, problem.constraint) if f is not None]
     for i in np.flatnonzero(np.less(*(problem.parameter_bounds or ((), ())))).tolist():
-        if not any(i in entries_of(f, f.n_in() - 1) for f in users):
+        if not any(i in entries_of(f, f.n_in() - 1) for _, f in _functions(problem)):
             yield f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint"
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes, or_one
 
-DEGENERATE_MASS = 1e-13  # singular value of ∂²L/∂v², over the largest, below which a direction of v has no momentum
 VELOCITY_ITERATIONS = 100
 
 
@@ -58,8 +57,7 @@ def scaled_masses(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def degenerate(mass: np.ndarray) -> bool:
     """Whether a mass matrix (d, d) is singular, whatever the units of the components."""
-    singular = np.linalg.svd(scaled_masses(mass)[0], compute_uv=False)
-    return bool(singular[-1] <= DEGENERATE_MASS * singular[0])
+    return int(np.linalg.matrix_rank(scaled_masses(mass)[0])) < len(mass)
 
 
 def refuse_degenerate(mass: np.ndarray, where: str) -> None:
@@ -116,7 +114,7 @@ def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.nd
 def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
     """Whether ∂²L/∂v² has no negative eigenvalue at any of many points; arguments as for `velocities`."""
     eigenvalues = np.linalg.eigvalsh(scaled_masses(_at(transform, t, x)(v)[1])[0])
-    return bool(np.all(eigenvalues[:, 0] >= -DEGENERATE_MASS * np.abs(eigenvalues).max(axis=1)))
+    return bool(np.all(eigenvalues[:, 0] >= -len(x) * EPS * np.abs(eigenvalues).max(axis=1)))
 
 
 def velocities(
@@ -142,7 +140,7 @@ def velocities(
     settled = np.zeros(x.shape[1], dtype=bool)
     for _ in range(VELOCITY_ITERATIONS):
         scaled, scales = scaled_masses(_defined(masses))
-        inverse = np.linalg.pinv(scaled, rcond=DEGENERATE_MASS, hermitian=True) / scales
+        inverse = np.linalg.pinv(scaled, hermitian=True) / scales
         step = np.einsum("kij,jk->ik", inverse, momentum - found)
         length = np.max(np.abs(step), axis=0)
         settled |= ~(length > 4 * EPS * np.max(np.abs(v), axis=0))
