@@ -34,7 +34,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.orbit_phase import turned_back
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.plotting import plot_pattern
+from casadi_galerkin.solution.plotting import COLORS, axes_or_new
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues, smallest_second_variation
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
@@ -179,8 +179,12 @@ class Transcription(BoundaryGraph):
 
     def plot_hessian(self, axes: Axes | None = None) -> Axes:
         """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""
-        rows, columns = (np.array(index) for index in self.hessian.sparsity_out(0).get_triplet())
-        return plot_pattern(rows, columns, self.numbering.free, axes)
+        rows, columns = self.hessian.sparsity_out(0).get_triplet()
+        axes, size, side = axes_or_new(axes), self.numbering.free, max(self.numbering.free, 1)
+        axes.plot(columns, rows, "s", color=COLORS[0], markersize=max(0.4, 230 / side), markeredgewidth=0)
+        axes.set(xlim=(-0.5, side - 0.5), ylim=(side - 0.5, -0.5), aspect="equal", xlabel="unknown", ylabel="equation")
+        axes.set_title(f"{len(rows)} nonzeros, {100 * len(rows) / side**2:.3g} % of {size} × {size}", fontsize="medium")
+        return axes
 
     def __repr__(self) -> str:
         """Say what was built."""

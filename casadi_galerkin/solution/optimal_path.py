@@ -20,7 +20,7 @@ from casadi_galerkin.solution.control_path import ControlPath, side_by_side
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns
 from casadi_galerkin.solution.path import of_parts
-from casadi_galerkin.solution.plotting import draw_bounds, draw_multipliers, panels, plot_path
+from casadi_galerkin.solution.plotting import COLORS, panels, plot_path
 from casadi_galerkin.solution.trajectory import Answer, Lines
 
 if TYPE_CHECKING:
@@ -193,13 +193,20 @@ class OptimalPath(Answer):
         line, points = self._broken(self.path_constraints(ALONG)), (times, values.reshape(len(values), -1))
         drawn = plot_path(line, points, axes, labels, time, "g")
         self._draw_bounds(drawn, lambda problem: problem.limits[1:])
-        draw_multipliers(drawn, times, self.path_multipliers.values)
+        right = drawn.twinx()
+        for i, multiplier in enumerate(self.path_multipliers.values):
+            right.plot(times, multiplier, ":", color=COLORS[i % len(COLORS)])
+        right.set_ylabel("multiplier μ")
+        right.grid(False)
         return drawn
 
     def _draw_bounds(self, axes: Axes, of: Callable[[ControlProblem], Any]) -> None:
-        """Add the bounds that the problem of each phase states, as long as it lasts."""
+        """Add the bounds that the problem of each phase states as dashed lines, in the colors of what they are for."""
         for phase in self.phases:
-            draw_bounds(axes, np.array(of(phase.problem)), phase.t[[0, -1]])
+            for i, bound in ((i, bound) for side in of(phase.problem) for i, bound in enumerate(side)):
+                if np.isfinite(bound):
+                    color = COLORS[i % len(COLORS)]
+                    axes.plot(phase.t[[0, -1]], [bound, bound], "--", color=color, linewidth=0.8)
 
     def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Times (K,) and values (n, K) of lines at `ALONG`, broken at the joints, where they may jump."""

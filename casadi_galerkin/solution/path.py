@@ -28,8 +28,6 @@ from casadi_galerkin.solution.plotting import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DRAWN_TIMES = 4000  # times at which a path is drawn and compared; two per interval at least
-
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Path(Table, Pictured):
@@ -66,7 +64,7 @@ class Path(Table, Pictured):
         ----------
         times : (K,); default all joints, and between two of them four times as many as the degree, enough to draw
         """
-        t = np.atleast_1d(times_within(self.t, self._dense_times if times is None else times)).ravel()
+        t = np.atleast_1d(times_within(self.t, self.fine_times if times is None else times)).ravel()
         return {"t": t, **by_component("x", self(t))}
 
     def _arrays(self) -> Columns:
@@ -165,14 +163,9 @@ class Path(Table, Pictured):
         return self.polynomial.line(self.fine_times)
 
     @property
-    def _dense_times(self) -> np.ndarray:
-        """All joints, and times between them that show what a polynomial of this degree does there; (K,)."""
-        return self.polynomial.times(sampling_parts(self.polynomial.degree)[:-1])
-
-    @property
     def fine_times(self) -> np.ndarray:
-        """Times (K,) at which a path is drawn and compared, with all joints."""
-        return self.polynomial.times(np.linspace(0, 1, max(2, DRAWN_TIMES // (len(self.t) - 1)), endpoint=False))
+        """Times (K,) at which a path is drawn, written and compared: all joints, and 4 m - 1 between two of them."""
+        return self.polynomial.times(sampling_parts(self.polynomial.degree)[:-1])
 
     def __repr__(self) -> str:
         """State the size and the time of the path."""
@@ -228,7 +221,7 @@ def plot_component(
     paths: Sequence[tuple[str, Path]], component: int, axes: Axes | None, labels: Sequence[str] | None, time: str
 ) -> Axes:
     """Draw one component of several paths, given with their names."""
-    lines = [path.polynomial.line(path._dense_times) for _, path in paths]
+    lines = [path.polynomial.line(path.fine_times) for _, path in paths]
     chosen = [(t, values[checked_index("component", component, len(values))]) for t, values in lines]
     (heading,) = component_names("x", 1, f"x[{component}]" if labels is None else labels)
     axes = axes_or_new(axes)

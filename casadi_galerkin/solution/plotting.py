@@ -15,7 +15,6 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import counted
 
 if TYPE_CHECKING:
-    from matplotlib.animation import ArtistAnimation
     from matplotlib.axes import Axes
 
 # M. Okabe and K. Ito's palette, told apart by color-blind readers
@@ -147,22 +146,6 @@ def component_names(name: str, count: int, labels: Sequence[str] | None) -> Sequ
     return given.tolist()
 
 
-def draw_bounds(axes: Axes, bounds: np.ndarray, span: np.ndarray) -> None:
-    """Add the finite ones of bounds (2, n) as dashed lines over a span (2,), in the colors of what they are for."""
-    for i, pair in enumerate(bounds.T):
-        for bound in pair[np.isfinite(pair)]:
-            axes.plot(span, [bound, bound], "--", color=COLORS[i % len(COLORS)], linewidth=0.8)
-
-
-def draw_multipliers(axes: Axes, times: np.ndarray, values: np.ndarray) -> None:
-    """Add multipliers (n, K) over times as dotted lines, with an axis of their own on the right."""
-    right = axes.twinx()
-    for i, line in enumerate(values):
-        right.plot(times, line, ":", color=COLORS[i % len(COLORS)])
-    right.set_ylabel("multiplier μ")
-    right.grid(False)
-
-
 def plot_branches(
     branches: Sequence[Sequence[tuple[int | None, float, float]]],
     folds: Points,
@@ -197,45 +180,6 @@ def plot_branches(
     if labels is not None:
         axes.set(**dict(zip(("xlabel", "ylabel"), component_names("the diagram", 2, labels), strict=True)))
     return axes
-
-
-def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | None) -> Axes:
-    """Draw the nonzeros of a square matrix, row 0 on top; one without rows is drawn empty."""
-    from matplotlib.ticker import MaxNLocator
-
-    axes, side = axes_or_new(axes), max(size, 1)
-    axes.plot(columns, rows, "s", color=COLORS[0], markersize=max(0.4, 230 / side), markeredgewidth=0)
-    axes.set(xlim=(-0.5, side - 0.5), ylim=(side - 0.5, -0.5), aspect="equal", xlabel="unknown", ylabel="equation")
-    axes.set_title(f"{len(rows)} nonzeros, {100 * len(rows) / side**2:.3g} % of {size} × {size}", fontsize="medium")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(integer=True))
-    return axes
-
-
-def animate_linkage(
-    times: np.ndarray, points: np.ndarray, interval: float, axes: Axes | None, unit: str
-) -> ArtistAnimation:
-    """Move a chain of bars through points (n, 2, K), one frame every `interval` seconds; the last point leaves a trail.
-
-    Above is the time in the unit given.  The axes are scaled to hold all of it; an animation runs only as long as a
-    reference to it is kept.
-    """
-    from matplotlib.animation import ArtistAnimation
-    from matplotlib.figure import Figure
-
-    axes, frames = axes_or_new(axes), list[Any]()
-    axes.set_aspect("equal", "datalim")
-    digits = max(0, 2 - int(np.floor(np.log10(times[-1] - times[0]))))
-    for k, t in enumerate(times):
-        trail = axes.plot(*points[-1, :, : k + 1], color=COLORS[5])
-        bars = axes.plot(*points[:, :, k].T, "o-", color=COLORS[0], linewidth=2)
-        clock = axes.text(0.5, 1.02, f"t = {t:.{digits}f} {unit}".rstrip(), transform=axes.transAxes, ha="center")
-        frames.append([*trail, *bars, clock])
-    drawn = axes.figure
-    assert isinstance(drawn, Figure)
-    drawn.draw_without_rendering()
-    drawn.set_layout_engine("none")  # laid out only once, because it takes 0.2 s
-    return ArtistAnimation(drawn, frames, interval=1000 * interval)
 
 
 def plot_work_precision(

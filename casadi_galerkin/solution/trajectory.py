@@ -29,7 +29,7 @@ from casadi_galerkin.solution.error_indicators import error_indicators
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.plotting import animate_linkage, plot_plane
+from casadi_galerkin.solution.plotting import COLORS, axes_or_new, plot_plane
 from casadi_galerkin.solution.quantity import Quantity, check_quantity, largest_difference, quantity, size_of
 
 if TYPE_CHECKING:
@@ -412,6 +412,9 @@ class Trajectory(Answer):
     ) -> ArtistAnimation:
         """Move a planar mechanism along the path; returns Matplotlib's ArtistAnimation, to show or to save.
 
+        It is a chain of bars, whose last point leaves a trail.  The axes are scaled to hold all of it; an animation
+        runs only as long as a reference to it is kept.
+
         Parameters
         ----------
         points : callable, positions x (d, K) at K times -> (n, 2, K), places in the plane of all ends of the bars of a
@@ -421,11 +424,25 @@ class Trajectory(Answer):
         unit : of the time shown in the title
         frames : how many, evenly from start to end
         """
+        from matplotlib.animation import ArtistAnimation
+
         duration = float(self.t[-1] - self.t[0]) if seconds is None else number(seconds)
         if duration is None or not 0 < duration < math.inf:
             raise ValueError(f"seconds must be a positive number, got {seconds!r}")
         times = np.linspace(self.t[0], self.t[-1], whole_number("frames", frames, 2))
-        return animate_linkage(times, self._places(points, times), duration / frames, axes, unit)
+        places, axes, drawn = self._places(points, times), axes_or_new(axes), list[Any]()
+        axes.set_aspect("equal", "datalim")
+        digits = max(0, 2 - int(np.floor(np.log10(np.ptp(times)))))
+        for k, t in enumerate(times):
+            trail = axes.plot(*places[-1, :, : k + 1], color=COLORS[5])
+            bars = axes.plot(*places[:, :, k].T, "o-", color=COLORS[0], linewidth=2)
+            clock = f"t = {t:.{digits}f} {unit}".rstrip()
+            drawn.append([*trail, *bars, axes.text(0.5, 1.02, clock, transform=axes.transAxes, ha="center")])
+        figure = axes.get_figure(root=True)
+        assert figure is not None
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # laid out only once, because it takes 0.2 s
+        return ArtistAnimation(figure, drawn, interval=1000 * duration / frames)
 
     def _asked(self) -> Lines:
         """The quantity that was asked for, if any."""

@@ -23,6 +23,7 @@ from casadi_galerkin._solve import solve, transcribe
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import APART, counted, flag
+from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.control_refinement import without_idle_breakpoints
 from casadi_galerkin.control.control_transcription import check_solver
@@ -32,7 +33,6 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import Problem, check_kind, check_types, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, check_tolerance
 from casadi_galerkin.solution.guess import Guess, check_finite_values, guess_values, sampled
-from casadi_galerkin.solution.path import DRAWN_TIMES
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.quantity import Quantity, check_quantity, quantity, size_of
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -245,7 +245,7 @@ def _check_reference(problem: AnyProblem, given: Reference, of: Quantity | None)
     elif free:
         raise TypeError(f"where the duration is free, the reference must be a Trajectory, got {given!r}")
     else:
-        times = np.linspace(*span, DRAWN_TIMES)
+        times = np.linspace(*span)
         check_finite_values("the reference", sampled("the reference", given, times, d), times)
     if of is not None:
         quantity(of, given)
@@ -261,7 +261,7 @@ def _errors(fine: Trajectory, reference: Reference, of: Quantity | None, path: T
     if not isinstance(reference, Trajectory):
         at = partial(sampled, "the reference", reference, dimension=len(path.x))
     marks, own = _marks(path.problem), _marks(fine.problem)
-    times = path.fine_times
+    times = path.polynomial.times(sampling_parts(4 * path.method.degree)[:-1])  # as fine as the largest error asks
     missed = np.max(np.abs(path(times) - at(map_times(times, marks, own))) / fine.sizes[:, None], axis=0)
     lasting = np.max(np.abs(np.subtract(marks, marks[0]) - np.subtract(own, own[0]))) / (own[-1] - own[0])
     error = float(max(np.max(missed), lasting))
