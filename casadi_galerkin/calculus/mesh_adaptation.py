@@ -117,6 +117,11 @@ def resized_mesh(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...
     return spread_over(mesh, np.arange(len(mesh)), intervals, breakpoints)
 
 
+def halved(mesh: np.ndarray) -> np.ndarray:
+    """The mesh with every interval halved."""
+    return resized_mesh(mesh, 2 * (len(mesh) - 1))
+
+
 def parts_wanted(error: np.ndarray, order: int | np.ndarray, tol: float) -> np.ndarray:
     """Parts into which to split intervals with errors (N,) that fall with the step to the power `order`; (N,)."""
     return (error / (ERROR_TARGET * tol)) ** (1.0 / order)

@@ -18,9 +18,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.numbers import counted, real_array, whole_number
-
-DIGITS = 1e-12  # points and weights come from tables with about 13 digits, or from arithmetic to 1e-15
+from casadi_galerkin.calculus.numbers import APART, counted, real_array, whole_number
 
 
 @dataclass(frozen=True, repr=False)
@@ -50,7 +48,7 @@ class Quadrature:
         q, w = real_array("points", points), real_array("weights", weights)
         if q.ndim != 1 or q.shape != w.shape or q.size == 0:
             raise ValueError(f"points and weights must be as many numbers, at least one, got {q.shape} and {w.shape}")
-        if not (q[0] >= 0 and np.all(np.diff(q) > 0) and q[-1] <= 1 and abs(w.sum() - 1) <= DIGITS):
+        if not (q[0] >= 0 and np.all(np.diff(q) > 0) and q[-1] <= 1 and abs(w.sum() - 1) <= APART):
             raise ValueError(
                 f"points must increase within [0, 1], and weights sum to 1, got {q} and a sum of {float(w.sum())!r}"
             )
@@ -76,7 +74,7 @@ class Quadrature:
         # No rule with r points is exact beyond degree 2r - 1, so degree 2r always fails.
         moments, degrees = legendre.legvander(2 * q - 1, 2 * len(q)).T @ w, np.arange(2 * len(q) + 1)
         moments[0] -= 1
-        return int(np.argmax(np.abs(moments) > DIGITS * (1 + degrees * (degrees + 1))))  # their slopes reach n (n + 1)
+        return int(np.argmax(np.abs(moments) > APART * (1 + degrees * (degrees + 1))))  # their slopes reach n (n + 1)
 
 
 def _roots(series: np.ndarray) -> np.ndarray:

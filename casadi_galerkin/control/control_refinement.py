@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
+from casadi_galerkin.calculus.mesh_adaptation import halved
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.control_transcription import SHORTEST_STEP, transcribed_control
 from casadi_galerkin.control.optimizer import ACCEPTABLE
@@ -78,11 +78,6 @@ def without_idle_breakpoints(problem: Any) -> Any:
     kept = np.flatnonzero((earliest == latest) | np.isin(problem.breakpoints, with_event))
     low, high = (tuple(np.add.reduceat(side, [0, *kept + 1]).tolist()) for side in problem.duration_bounds)
     return with_values(problem, breakpoints=tuple(problem.breakpoints[k] for k in kept), duration_bounds=(low, high))
-
-
-def halved(mesh: np.ndarray) -> np.ndarray:
-    """The mesh with every interval halved."""
-    return resized_mesh(mesh, 2 * (len(mesh) - 1))
 
 
 def fits_any_mesh(guess: Guess | None) -> bool:

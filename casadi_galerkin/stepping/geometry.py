@@ -18,10 +18,10 @@ from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.pointwise import at_places
 from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.constrained_motion import motion_of, tangents
-from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.stepping.initial_value import started
 from casadi_galerkin.stepping.stepper import Stepper
 
 
@@ -128,14 +128,7 @@ def geometry(path: Trajectory, symmetry: Traceable | tuple[Traceable, Traceable]
     drift = np.polyfit((path.t - path.t[0]) / duration, error, 1)[0]
     problem: Problem = path.problem
     if isinstance(path, ControlTrajectory):
-        problem = InitialProblem(
-            problem.lagrangian,
-            problem.t_span,
-            path.x[:, 0].tolist(),
-            momentum=path.momentum[:, 0].tolist(),
-            force=path.replay(),
-            parameters=path.parameters,
-        )
+        problem = started(path, path.replay())
     steps, motion = jacobians(path, problem), motion_of(path.problem)
     if motion is not None:
         bases = [np.kron(np.eye(2), tangents(motion, *at)) for at in zip(path.t, path.x.T, strict=True)]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import FEWEST, higher_degree_method, method_for
+from casadi_galerkin.calculus.mesh_adaptation import FEWEST, halved, higher_degree_method, method_for
 from casadi_galerkin.calculus.numbers import told_apart
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
@@ -46,6 +47,20 @@ def finer(path: Trajectory) -> tuple[Trajectory]:
     return (integrate(path.problem, higher_degree_method(path.method.degree), path.t),)
 
 
+def started(path: Trajectory, force: ca.Function | None) -> InitialProblem:
+    """The initial problem of a path under a force: its position and momentum at the start."""
+    problem = path.problem
+    return InitialProblem(
+        problem.lagrangian,
+        problem.t_span,
+        path.x[:, 0].tolist(),
+        momentum=path.momentum[:, 0].tolist(),
+        parameters=problem.parameters,
+        force=force,
+        constraint=problem.constraint,
+    )
+
+
 def to_tolerance(
     steps: Callable[[Galerkin, np.ndarray], Trajectory],
     problem: InitialProblem | BoundaryProblem,
@@ -79,7 +94,7 @@ def to_tolerance(
                 error = path.asked_error or 0.0
             if error <= tol:
                 return path
-        joints = np.insert(joints, range(1, len(joints)), (joints[:-1] + joints[1:]) / 2)
+        joints = halved(joints)
     reached = f"the last path has an estimated error of {error:.1e}" if path else failure or "no path"
     raise LimitReached(
         f"tolerance {tol:g} was not reached within {limits.intervals:g} intervals and {limits.seconds:g} seconds: "

@@ -28,13 +28,13 @@ from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.roundoff import EPS, ZERO, component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.plotting import COLORS, Pictured, axes_or_new
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
+from casadi_galerkin.stepping.initial_value import started
 from casadi_galerkin.stepping.shooting import check_start, shoot
 from casadi_galerkin.stepping.shooting_residual import accumulated
 
@@ -110,20 +110,23 @@ class Comparison(Table, Pictured):
     def __repr__(self) -> str:
         """Table of the three ways."""
         path = self.global_path
-        seconds = path.build_seconds + path.solve_seconds
-        condition = "-" if np.isnan(self.condition_global) else f"{self.condition_global:.1e}"
-        lines = [
-            f"Comparison on {spanned(path.t)}, {counted(len(path.t) - 1, 'interval')}, {path.method}",
-            "                         iterations    seconds  largest gap  condition",
-            f"  {'global':22}{path.iterations:11d} {seconds:10.4f}  {'':11}  {condition:>9}",
-        ]
-        for name, attempt in (("stepped from its start", self.stepped), ("shooting", self.shooting)):
-            gap = "failed" if attempt.path is None else f"{np.max(attempt.gap):.1e}"
-            cost = f"{attempt.iterations:11d} {attempt.seconds:10.4f}"
-            lines.append(f"  {name:22}{cost}  {gap:>11}  {self.condition_stepwise:9.1e}")
-        lines.append(f"  the gap of the steps {self._growth()}")
-        lines += [f"  {attempt.failure}" for attempt in (self.stepped, self.shooting) if attempt.failure]
-        return "\n".join(lines)
+        rows = [("global", path.iterations, path.build_seconds + path.solve_seconds, "", self.condition_global)]
+        for name, way in self._ways.items():
+            gap = "failed" if way.path is None else f"{np.max(way.gap):.1e}"
+            rows.append((name, way.iterations, way.seconds, gap, self.condition_stepwise))
+        return "\n".join(
+            [
+                f"Comparison on {spanned(path.t)}, {counted(len(path.t) - 1, 'interval')}, {path.method}",
+                f"  {'':22} iterations    seconds  largest gap  condition",
+                *("  {:22}{:11d} {:10.4f}  {:>11}  {:9.1e}".format(*row) for row in rows),
+                f"  the gap of the steps {self._growth()}",
+                *(f"  {way.failure}" for way in self._ways.values() if way.failure),
+            ]
+        )
+
+    @property
+    def _ways(self) -> dict[str, Attempt]:
+        return {"steps from its start": self.stepped, "shooting": self.shooting}
 
     def _growth(self) -> str:
         """What the gap of the steps does."""
@@ -141,9 +144,8 @@ class Comparison(Table, Pictured):
         axes : Matplotlib axes to draw into; default a new figure
         time : name of the time with its unit, such as "t in s"
         """
-        ways = {"stepped from the global start": self.stepped, "shooting": self.shooting}
         axes = axes_or_new(axes)
-        for color, (name, way) in zip(COLORS, ways.items(), strict=False):
+        for color, (name, way) in zip(COLORS, self._ways.items(), strict=False):
             shown = (way.gap > 0) & (way.gap < 1 / ZERO)
             if np.any(shown):
                 label = name + (" (failed)" if way.path is None else "")
@@ -207,16 +209,7 @@ def compare(
 
     def steps() -> Trajectory:
         """The steps from the start of the global path, which may have no mass there."""
-        start = InitialProblem(
-            problem.lagrangian,
-            solved.t_span,
-            path.x[:, 0].tolist(),
-            momentum=path.momentum[:, 0].tolist(),
-            parameters=problem.parameters,
-            force=problem.force,
-            constraint=problem.constraint,
-        )
-        return solve(start, method, mesh=path.t)
+        return solve(started(path, problem.force), method, mesh=path.t)
 
     joints = path.t if problem.energy is None else np.interp(path.t, path.t[[0, -1]], problem.t_span)
     stepped = _attempt(path, steps)

@@ -37,6 +37,8 @@ from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.studies.sweep_file import CutShort, SweepFile
 
+OF_PROBLEMS = "let its callables use no CasADi Function that exists in this process only, such as a casadi.Callback"
+
 Variation = Mapping[str, Any]
 Answer = Trajectory | Exception
 Known = tuple[np.ndarray, Trajectory]  # the given values of a problem, and its path
@@ -137,7 +139,7 @@ def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Kno
         yield answer
 
 
-def picklable(what: str, given: object, remedy: str) -> bytes:
+def picklable(what: str, given: object, remedy: str = OF_PROBLEMS) -> bytes:
     """What goes to other processes as bytes; a TypeError refuses what these could not read, with a remedy."""
     try:
         written = pickle.dumps(given)
@@ -145,12 +147,6 @@ def picklable(what: str, given: object, remedy: str) -> bytes:
     except Exception as error:  # whatever the objects within raise
         raise TypeError(f"{what} cannot be pickled, as it must for other processes: {remedy} ({error})") from error
     return written
-
-
-def picklable_problem(*given: object) -> bytes:
-    """A problem and what goes with it as bytes; refused as by `picklable`."""
-    remedy = "let its callables use no CasADi Function that exists in this process only, such as a casadi.Callback"
-    return picklable("the problem", given, remedy)
 
 
 @lru_cache(1)

@@ -40,7 +40,6 @@ from casadi_galerkin.studies.parallel import (
     here,
     nearest,
     picklable,
-    picklable_problem,
     solver_of,
     varied,
 )
@@ -294,7 +293,7 @@ def sweep(
     kept = None
     if executor is not None or file is not None:
         picklable("of", of, "give a module's function")
-        written = picklable_problem(*arguments)
+        written = picklable("the problem", arguments)
         guesses = [
             picklable(f"the guess of variation {i}", variation.get("guess"), "give an array or a module's function")
             for i, variation in enumerate(checked)

@@ -37,7 +37,7 @@ from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.quantity import Quantity, check_quantity, quantity, size_of
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
-from casadi_galerkin.studies.parallel import picklable_problem
+from casadi_galerkin.studies.parallel import picklable
 from casadi_galerkin.studies.trade_table import LEAST_ERROR, AnyProblem, Row, Trade, name_of
 
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
@@ -61,7 +61,7 @@ def _measured(
 ) -> tuple[Row, Trajectory | None]:
     """Solve in one way for the first time, and again on what is built; `written` is the pickled problem."""
     try:  # of a deep copy Functions would be shared
-        path, first = _timed(lambda: row.solve(pickle.loads(written)[0], guess))
+        path, first = _timed(lambda: row.solve(pickle.loads(written), guess))
         again: Callable[[], Trajectory] = partial(row.solve, problem, guess)
         if row.method is not None and row.solver is not None:  # a global solve, on a graph that is built
             assert not isinstance(problem, InitialProblem)
@@ -82,7 +82,7 @@ def _all_measured(
     problem: AnyProblem, ways: list[Row], guess: Guess | None, of: Quantity | None
 ) -> list[tuple[Row, Trajectory | None]]:
     """All ways, and then those on the meshes that tolerances have found, where durations are free at their guesses."""
-    measured, waiting, written = list[tuple[Row, Trajectory | None]](), list(ways), picklable_problem(problem)
+    measured, waiting, written = list[tuple[Row, Trajectory | None]](), list(ways), picklable("the problem", problem)
     with progress("trade", len(ways) + len([way for way in ways if way.adaptive])) as advance:
         while waiting:
             row, path = _measured(problem, written, waiting.pop(0), guess, of)
