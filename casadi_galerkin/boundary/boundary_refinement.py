@@ -55,7 +55,7 @@ from casadi_galerkin.calculus.mesh_adaptation import (
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.solution.error_indicators import FRACTIONS, error_indicators
+from casadi_galerkin.solution.error_indicators import FRACTIONS, LAGRANGIAN_MISFIT, error_indicators
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached, Limits
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, joined_by_lines
 from casadi_galerkin.solution.path import Path
@@ -74,7 +74,9 @@ FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls
 SHORTEST_INTERVAL = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
 # interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
 TIME_ROUNDING = 1e5 * EPS
-HOMOTOPY_ACCURACY = 1e-3, 500  # tolerance and largest number of intervals for the intermediate paths of a homotopy
+# tolerance and shortest interval over the duration for the intermediate paths of a homotopy; paths that were found on
+# the way past a singularity had intervals of 7e-6 and longer
+HOMOTOPY_ACCURACY = 1e-3, 1e-6
 Parts = Callable[[float], np.ndarray]  # tolerance of x -> numbers of parts into which intervals are to be split
 MESHES_WITHOUT_HALVING = 8  # meshes in a row that do not halve an error; intervals that move to a layer need up to 6
 
@@ -82,7 +84,7 @@ MESHES_WITHOUT_HALVING = 8  # meshes in a row that do not halve an error; interv
 class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
     """One refinement of the problem of a `GraphCache`; the other arguments are those of `solve`."""
 
-    roundoff_level = 0.0
+    roundoff_level, shortest_interval = 0.0, SHORTEST_INTERVAL
 
     def __init__(
         self,
@@ -225,7 +227,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
     def shortest(self, mesh: np.ndarray) -> np.ndarray:
         """Lengths below which the precision of a double does not resolve intervals, or their times."""
         inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
-        steps = np.maximum(SHORTEST_INTERVAL * (mesh[-1] - mesh[0]), TIME_ROUNDING * inside)
+        steps = np.maximum(self.shortest_interval * (mesh[-1] - mesh[0]), TIME_ROUNDING * inside)
         return np.maximum(steps, NEAREST * np.max(np.abs(mesh)))
 
     @property
@@ -262,9 +264,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
         return path.amended(solver=f"{path.solver}; up to {distance:.2g} of the guess's size away from the guess")
 
     def at_pole(self, level: CriticalPoint) -> bool:
-        """Whether a path leads through a pole of L, which other paths avoid."""
+        """Whether a path leads through a pole of L, which other paths avoid; at a step of L the misfit is small."""
         _, misfit, _ = error_indicators(level.motion, level.polynomial, level.momentum)
-        return bool(np.any(misfit))
+        return bool(np.max(misfit) > LAGRANGIAN_MISFIT)
 
     def by_the_first(self, strategies: Iterable[Strategy], guess: PiecewisePolynomial | None) -> Trajectory:
         """Refine the path of the first strategy that leads to one.
@@ -307,10 +309,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
 
     def intermediate_path(self, graphs: GraphCache, guess: PiecewisePolynomial) -> CriticalPoint:
         """Find a path of a homotopy to a loose tolerance, on a mesh that resolves it."""
-        tol, most = HOMOTOPY_ACCURACY
-        limits = replace(self.limits, intervals=min(self.limits.intervals, most))
-        part = BoundaryRefinement(graphs, max(self.tol, tol), self.method, self.solver, limits)
-        part.deadline = self.deadline
+        tol, shortest = HOMOTOPY_ACCURACY
+        part = BoundaryRefinement(graphs, max(self.tol, tol), self.method, self.solver, self.limits)
+        part.deadline, part.shortest_interval = self.deadline, shortest
         return part.refine(graphs.solve(self.method, guess.mesh, guess, self.warm_solver))[0]
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:

@@ -32,7 +32,7 @@ GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a g
 COARSE_RESOLUTION, FINE_RESOLUTION = 0.1, 1e-6
 RANDOM = "random guesses"
 # first factor by which a fraction grows, the factor below which the path is lost, and the smallest fraction tried
-FIRST_GROWTH, LEAST_GROWTH, LEAST_FRACTION = 10.0, 1.02, 1e-8
+FIRST_GROWTH, LEAST_GROWTH, LEAST_FRACTION = 10.0, 1.1, 1e-8
 
 Find: TypeAlias = Callable[[], CriticalPoint]
 Strategy: TypeAlias = tuple[str, Find]  # its name in reports, and how to find a first path

@@ -6,7 +6,8 @@ time, and as a constraint g with multipliers λ moves,
     E(t_{i+1}) - E(t_i) = ∫ (F·v - ∂L/∂t - λ·∂g/∂t) dt        on every interval,
 
 with p at the joints from the discrete Legendre transform.  A discrete path satisfies it up to the order of its error.
-It does not where L has a kink inside an interval, or where the mesh is far too coarse.  Where L jumps in time, or is
+It does not where L has a kink inside an interval, or where the mesh is far too coarse.  In short intervals, whose
+energies are rounded, the work tells where the kink is: it depends on the quadrature.  Where L jumps in time, or is
 singular at an end, energies differ on any mesh.  So an interval counts by no more than all that acts within it may move
 the path (`_most_change`), and where the energy changes by more, it is balanced before and after the interval.  Where L
 steps in x, as at an edge, the impulse is in no equation, and energies on both sides must agree.
@@ -52,26 +53,29 @@ REACH_BEYOND_JOINTS = 1e-3
 ROUNDING_FACTOR = 10.0  # factor on roundoff floors: an imbalance below it may be rounding alone
 
 
-def energy_imbalance(conserved: np.ndarray, scale: np.ndarray, floor: np.ndarray) -> np.ndarray:
+def energy_imbalance(
+    conserved: np.ndarray, scale: np.ndarray, floor: np.ndarray, misfit: np.ndarray | float = 0.0
+) -> np.ndarray:
     """Relative violation of the balance of energy, distributed to the intervals; (N,), infinite where it is undefined.
 
     All pairs of joints are compared, relative to the larger of their scales: near a singularity energies are large, and
     an error there shows in the energies on its two sides.  The largest difference is distributed to the intervals in
-    proportion to the changes on them.
+    proportion to the changes on them or, where these are within roundoff, to a misfit of the work.
 
     Parameters
     ----------
     conserved : (N + 1,), E - ∫ (F·v - ∂L/∂t - λ·∂g/∂t) dt, the same at all joints of a true path
     scale : (N + 1,), sizes of the terms of `conserved`: |p·v| + |E| + |v|ᵀ|∂²L/∂v²||v|, at least their mean over time
     floor : (N + 1,), roundoff of `conserved`, which is not counted
+    misfit : (N,), how far the work on an interval depends on the points of its quadrature
     """
     if not np.all(np.isfinite(conserved)):
         return np.where(np.isfinite(conserved[1:] + conserved[:-1]), 0.0, np.inf)
     order = np.argsort(scale)
     least, most = (conserved - floor)[order], (conserved + floor)[order]
     gaps = np.maximum(np.maximum.accumulate(least) - most, least - np.minimum.accumulate(most))
-    change = np.abs(np.diff(conserved))
-    return max(float(np.max(gaps / scale[order])), 0.0) * change / max(float(np.max(change)), TINY)
+    change = np.maximum(np.abs(np.diff(conserved)) - floor[1:] - floor[:-1], misfit + TINY)
+    return max(float(np.max(gaps / scale[order])), 0.0) * change / np.max(change)
 
 
 def error_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -230,6 +234,10 @@ class _Sampled:
         """Values at the quadrature points only; (N, points)."""
         return self.by_interval(values)[:, 2 : 2 + len(self._weights)]
 
+    def misfit(self, values: np.ndarray) -> np.ndarray:
+        """Distance of values at all places from the polynomial through those at the quadrature points; (N, K)."""
+        return np.abs(self.by_interval(values) - self.at_points(values) @ self.between.T)
+
     def integral(self, values: np.ndarray) -> np.ndarray:
         """Integral over every interval, scaled to length 1; (N,)."""
         return self.at_points(values) @ self._weights
@@ -244,19 +252,19 @@ def _between_breakpoints(
     if depends_on_time(problem.constraint):  # where it moves in another way from a breakpoint on, it pushes there
         place = sampled.times[sampled.joints], sampled.x[:, sampled.joints]
         momentum = tangent_momenta(problem, *place, momentum, sampled.v[:, sampled.joints])
-    conserved, scale, floor = _energies(sampled, momentum)
+    conserved, scale, floor, misfit = _energies(sampled, momentum)
     masses = np.max(np.where(np.isfinite(sampled.masses), np.abs(sampled.masses), 0.0), axis=0)
     gained, size, rounded = np.abs(np.diff(conserved)), np.minimum(scale[1:], scale[:-1]), floor[1:] + floor[:-1]
     unresolved, most = _unresolved(sampled, scale, floor), _most_change(sampled)
-    if np.any((gained > most * size + rounded) | (unresolved > most)):
+    jumps = (gained > most * size + rounded) | (unresolved > most)
+    if np.any(jumps):
         # where L steps in x, CasADi's derivative is zero, and its impulse in no equation; a force is not in L
         values, slopes, _ = sampled.in_place(pointwise(problem.lagrangian, None).first, varied=0)
-        most = np.where(sampled.unexplained(0, values, slopes[:, None, :], values), np.inf, most)
-    jumps = gained > most * size + rounded
+        jumps &= ~sampled.unexplained(0, values, slopes[:, None, :], values)
     balance = np.where(jumps, most, 0.0)
     for part in np.split(np.arange(len(scale)), np.flatnonzero(jumps) + 1):
         if len(part) > 1:
-            balance[part[:-1]] = energy_imbalance(conserved[part], scale[part], floor[part])
+            balance[part[:-1]] = energy_imbalance(conserved[part], scale[part], floor[part], misfit[part[:-1]])
     return balance, np.minimum(unresolved, most), masses
 
 
@@ -296,7 +304,7 @@ def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
     return found
 
 
-def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The arguments of `energy_imbalance`, at all joints."""
     h, v, (lagrangian, work, slope, *_) = at.h[at.joints], at.v[:, at.joints], at.derivatives
     kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(at.masses)
@@ -317,22 +325,25 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     pulled = np.sum(np.abs(at.x[:, at.joints] * work[at.joints].T), axis=0) / h
     floor = ROUNDING_FACTOR * EPS * (rounding_effect + pulled + scale)
 
-    supplied = at.steps * at.integral(work_of_constraint(at.problem, at.times, at.x, at.v))
+    by_constraint = work_of_constraint(at.problem, at.times, at.x, at.v)
+    supplied, power = at.steps * at.integral(by_constraint), np.sum(work * at.v.T, axis=1)
     if at.pointwise.supplied is not None:
         falls, by_both = at.evaluate(at.pointwise.supplied)
         supplied += at.integral(falls)
+        power += falls[:, 0]
         shifted = np.abs(at.times[at.joints] - at.path.mesh)  # of the first and of the last joint
         floor += 2 * shifted * np.abs(falls[at.joints, 0] / h)
         slopes = np.abs(at.v * at.h) + rounding * np.repeat(places, len(at.h) // len(at.steps), axis=1)
         rounded = np.abs(by_both) * np.concatenate((np.abs(at.x), slopes)).T  # the terms of a force may cancel
         floor += ROUNDING_FACTOR * EPS * np.append(0.0, np.cumsum(at.integral(np.sum(rounded, axis=1))))
-    return energy + np.append(0.0, np.cumsum(supplied)), scale, floor
+    misfit = np.nan_to_num(np.max(at.misfit(power), axis=1), posinf=0.0)
+    return energy + np.append(0.0, np.cumsum(supplied)), scale, floor, misfit
 
 
 def _unresolved(at: _Sampled, scale: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """Misfit of L between points relative to L or to the energies around it; (N,), zero where it is small."""
     lagrangian = at.derivatives[0][:, 0] / at.h
-    misfit = np.abs(at.by_interval(lagrangian) - at.at_points(lagrangian) @ at.between.T)
+    misfit = at.misfit(lagrangian)
     size = np.maximum(np.max(np.abs(at.by_interval(lagrangian)), axis=1), np.maximum(scale[1:], scale[:-1]))
     above_floor = np.max(misfit, axis=1) - np.maximum(floor[1:], floor[:-1])
     relative = np.where(np.isfinite(size), above_floor / size, np.inf)

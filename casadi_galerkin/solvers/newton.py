@@ -182,15 +182,19 @@ def _final_iterate(linear: Linearization, at: Iterate, last: float, data: Data) 
 
     Residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.  Nor does the
     ratio of the last two steps, which may be of different components: the next step is expected to be no shorter than
-    the square of this one.  Short steps that hardly shrink may be roundoff over a small second variation, of any length
-    next to a conjugate point: they are right but for the direction of smallest curvature.
+    the square of this one.  Short steps that hardly shrink may be roundoff, over a small second variation of any length
+    next to a conjugate point: they are right but for the direction of smallest curvature.  At kinks, they are not.
     """
-    if at.norm**2 <= EPS and at.norm**3 <= EPS * last**2:
+    stays = last / 2 <= at.norm
+    if at.norm**2 <= EPS and (stays or at.norm**3 <= EPS * last**2):
         return at.unknowns + at.step
-    if not last / 2 <= at.norm or last > QUADRATIC:
+    if not stays or last > QUADRATIC:
+        return None
+    direction, quotient = smallest_curvature(linear, at.unknowns, data)
+    if quotient > max(SINGULAR, EPS / at.norm):
         return None
     with np.errstate(over="ignore", invalid="ignore"):  # of a singular Hessian it may be of any size
-        direction, step = smallest_curvature(linear, at.unknowns, data)[0] / at.sizes, at.step / at.sizes
+        direction, step = direction / at.sizes, at.step / at.sizes
         return at.unknowns + at.sizes * (step - direction * ((direction @ step) / max(direction @ direction, TINY)))
 
 

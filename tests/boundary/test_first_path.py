@@ -86,7 +86,7 @@ def test_a_guess_is_put_on_the_first_mesh_once():
     fall = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + x[1], (0, 1), [0.0, 0.0], [1.0, 1.0])
     path = cg.solve(fall, tol=TOL, guess=guess)
     assert path.solver == "Newton"
-    assert len(calls) == 4  # all times at once, and three of them to see whether that is what it means
+    assert len(set(calls)) == len(calls)
 
 
 @pytest.mark.slow
