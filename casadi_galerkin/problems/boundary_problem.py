@@ -19,9 +19,9 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import components, counted, finite
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.problems import statements
-from casadi_galerkin.problems.callables import depends_on_time, pattern, too_many, with_multipliers
+from casadi_galerkin.problems.callables import VELOCITIES, depends_on_time, pattern, too_many, with_multipliers
 from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
-from casadi_galerkin.problems.legendre_transform import coupled_by_mass, singular_mass
+from casadi_galerkin.problems.legendre_transform import generic_places, legendre_transform, singular_mass
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, with_values
 from casadi_galerkin.problems.statements import Statement, optional, plain
 
@@ -72,10 +72,11 @@ def _twice_given(problem: BoundaryProblem) -> Iterator[str]:
 
 def _coupled_velocities(problem: BoundaryProblem) -> Iterator[str]:
     """The momentum of a given velocity depends on one that is not given."""
+    masses = pattern(legendre_transform(problem.with_multipliers().lagrangian), VELOCITIES)
     for end in ENDS:
         given = np.array([value is not None for value in getattr(problem, f"{end}_velocity")])
         if given.any():
-            unknown = coupled_by_mass(problem.with_multipliers().lagrangian, given) & ~given
+            unknown = masses[given].any(axis=0) & ~given
             if unknown.any():
                 yield (
                     f"{end}_velocity[{np.argmax(given)}] is given, and by the mass matrix its momentum depends on that "
@@ -129,23 +130,19 @@ def _integrals(problem: BoundaryProblem) -> Iterator[str]:
     acceleration, g = ca.SX.sym("acceleration", d), integrands(*symbols)
     pull, slope = (ca.densify(ca.jacobian(g, symbol)) for symbol in symbols[1:])
     rate = ca.jtimes(ca.vec(slope), ca.vertcat(*symbols), ca.vertcat(1, symbols[2], acceleration))
-    free = [None in (problem.start[i], np.nan if problem.periodic else problem.end[i]) for i in range(d)]
+    free = np.isnan(problem.given_positions).any(axis=0).astype(float)
     changes = ca.horzcat(pull - ca.reshape(rate, count, d), slope @ ca.diag(ca.DM(free)))
-    terms = ca.fabs(pull) + ca.fabs(ca.reshape(rate, count, d)) + ca.fabs(slope)
-    variation = ca.Function("variation", [*symbols, acceleration], [changes, terms])
-    random, (first, last), rank = np.random.default_rng(0), problem.t_span, -1
-    start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))
-    for unit in np.multiply.outer(10.0 ** np.arange(-8, 9), component_sizes(np.array([start, end]).T)):
-        found, largest = list[np.ndarray](), np.full(count, TINY)  # nothing tells the size of what is zero at the ends
-        for _ in range(2 * count):
-            when, (x, v, a) = random.uniform(), random.normal(size=(3, d)) * unit
-            place = x + start + when * (end - start), v / (last - first), a / (last - first) ** 2
-            changed, size = (np.array(m) for m in variation(first + when * (last - first), *place))
-            if np.isfinite(changed).all() and np.isfinite(size).all():
-                found.append(changed * np.tile(unit, 2))
-                largest = np.maximum(largest, np.max(size * unit, axis=1))
-        if found:
-            rank = max(rank, int(np.linalg.matrix_rank(np.hstack(found) / largest[:, None], tol=EPS**0.5)))
+    terms, rank = ca.fabs(pull) + ca.fabs(ca.reshape(rate, count, d)) + ca.fabs(slope), -1
+    variation = ca.Function("variation", [*symbols, acceleration], [changes, terms]).map(2 * count)
+    size = component_sizes(np.nan_to_num(problem.given_positions).T)
+    for unit in 10.0 ** np.arange(-8, 9):  # nothing tells the size of what is zero at the ends
+        t, *places = generic_places(problem, 2 * count, unit)
+        found, largest = (np.array(m).reshape(count, 2 * count, -1) for m in variation(t[None, :], *places))
+        found, largest = found * np.tile(size, 2), largest * size
+        finite = np.isfinite(found).all(axis=(0, 2)) & np.isfinite(largest).all(axis=(0, 2))
+        if finite.any():
+            scale = np.maximum(largest[:, finite].max(axis=(1, 2)), TINY)[:, None]
+            rank = max(rank, int(np.linalg.matrix_rank(found[:, finite].reshape(count, -1) / scale, tol=EPS**0.5)))
     if 0 <= rank < count:
         yield (
             f"integral_conditions are {count}, but only {rank} of the integrals can be given one by one: the "

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import numbers
 from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint, tangent_momenta
-from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
+from casadi_galerkin.problems.legendre_transform import legendre_transform, singular, velocities
 from casadi_galerkin.problems.problem import Problem
-from casadi_galerkin.problems.statements import Statement, optional, plain
+from casadi_galerkin.problems.statements import Statement, check, optional, plain
 
 
 def _stateless(problem: InitialProblem) -> tuple[()]:
@@ -81,7 +82,7 @@ class InitialProblem(Problem):
             v = velocities(legendre, *at, p, v[:, None])[:, 0]
         tried = np.where(np.isfinite(v), v, 0.0)
         momentum, mass = (np.array(a) for a in legendre(start, x, tried))
-        refuse_degenerate(mass, f"at the start, x = {x}, v = {tried}")
+        check(mass, [partial(singular, where=f"at the start, x = {x}, v = {tried}")])
         if not np.all(np.isfinite(v)):
             raise ValueError(
                 f"no velocity was found that has the momentum {given} at the start, x = {x}; give the velocity"

@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes, or_one
 
 VELOCITY_ITERATIONS = 100
@@ -21,16 +20,6 @@ def legendre_transform(lagrangian: ca.Function) -> ca.Function:
     symbols = lagrangian.sx_in()
     mass, momentum = ca.hessian(lagrangian(*symbols), symbols[2])
     return ca.Function("legendre", symbols, [ca.densify(momentum), ca.densify(mass)])
-
-
-def coupled_by_mass(lagrangian: ca.Function, chosen: np.ndarray) -> np.ndarray:
-    """Which components are among the chosen ones, (d,), or coupled to one by the mass matrix, at once or by others."""
-    symbols = lagrangian.sx_in()
-    mass = ca.hessian(lagrangian(*symbols), symbols[2])[0]
-    coupled, reached = np.array(ca.DM(mass.sparsity(), 1.0).full(), dtype=bool), chosen
-    for _ in chosen:
-        reached = reached | coupled[reached].any(axis=0)
-    return reached
 
 
 def momentum_at(lagrangian: ca.Function, t: ca.SX, x: ca.SX, v: ca.SX, *parameters: ca.SX) -> ca.SX:
@@ -55,24 +44,25 @@ def scaled_masses(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return masses / scales, scales
 
 
-def degenerate(mass: np.ndarray) -> bool:
-    """Whether a mass matrix (d, d) is singular, whatever the units of the components."""
-    return int(np.linalg.matrix_rank(scaled_masses(mass)[0])) < len(mass)
-
-
-def refuse_degenerate(mass: np.ndarray, where: str) -> None:
-    """Raise a ValueError if the mass matrix (d, d) at a point is singular or not finite; `where` tells the point."""
+def singular(mass: np.ndarray, where: str) -> Iterator[str]:
+    """That a mass matrix (d, d) is singular or not finite at a point, whatever the units; `where` tells the point."""
     if not np.all(np.isfinite(mass)):
-        raise ValueError(f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}")
-    if degenerate(mass):
-        raise ValueError(_singular(mass, where))
+        yield f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}"
+    elif np.linalg.matrix_rank(scaled_masses(mass)[0]) < len(mass):
+        yield (
+            f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not "
+            f"determine the velocities; got {mass.tolist()}"
+        )
 
 
-def _singular(mass: np.ndarray, where: str) -> str:
-    return (
-        f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not determine "
-        f"the velocities; got {mass.tolist()}"
-    )
+def generic_places(problem: Any, count: int, unit: float = 1.0) -> tuple[np.ndarray, ...]:
+    """Random times, positions, velocities and accelerations near the line between the ends; (d, count)."""
+    (first, last), random = problem.t_span, np.random.default_rng(0)
+    start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))[:, :, None]
+    size = component_sizes(np.hstack((start, end)))[:, None]
+    when, (x, v, a) = random.uniform(size=count), unit * size * random.normal(size=(3, len(size), count))
+    along = start + when * (end - start) + x, (end - start + v) / (last - first), a / (last - first) ** 2
+    return first + when * (last - first), *along
 
 
 def singular_mass(problem: Any) -> Iterator[str]:
@@ -81,23 +71,19 @@ def singular_mass(problem: Any) -> Iterator[str]:
     Only components with an equation of motion have a mass.  Under a constraint it may be singular, because components
     that the constraint determines need no mass.
     """
-    problem = problem.with_multipliers()
-    count, (first, last) = getattr(problem, "mechanical", problem.dimension), problem.t_span
+    problem, count = problem.with_multipliers(), problem.mechanical
     if problem.constraint is not None or not count:
         return
-    start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))
-    rise, size, given = end - start, component_sizes(np.array([start, end]).T), [problem.parameters or ()]
-    bend, transform = size * np.cos(1.0 + np.arange(len(start))), legendre_transform(problem.lagrangian)
-    for fraction in gauss(3).points:  # generic enough on a line that is bent
-        t, x = first + fraction * (last - first), start + fraction * (rise + bend)
-        v = (rise + (1 - fraction) * bend) / (last - first)
+    transform, words = legendre_transform(problem.lagrangian), ""
+    for t, x, v, _ in zip(*(np.transpose(places) for places in generic_places(problem, 3)), strict=True):
         try:
-            mass = transform(t, x, v, *given[: transform.n_in() - 3])[1].full()[:count, :count]
+            mass = transform(t, x, v, *[problem.parameters or ()][: transform.n_in() - 3])[1].full()[:count, :count]
         except RuntimeError:  # a Function within L may fail
             return
-        if not (np.isfinite(mass).all() and degenerate(mass)):
+        words = next(singular(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {v}"), "")
+        if not words or not np.isfinite(mass).all():
             return
-    yield _singular(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {v}")
+    yield words
 
 
 def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
