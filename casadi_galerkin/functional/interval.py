@@ -32,7 +32,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
+from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.pointwise import pointwise
@@ -48,8 +48,6 @@ SMALLEST_STEP = 0.01 * EPS
 LARGEST_LAST_STEP = SMALLEST_STEP ** (1 / 3)
 # relative Newton step after which only rounding can keep the next one, its square, from being far smaller
 NEARLY_CONVERGED_SLOPES = EPS**0.5
-# Taylor terms of the velocity that predict the next interval; with more, large steps found other solutions
-TAYLOR_TERMS = 2
 
 
 class SlopeBasis:
@@ -74,14 +72,6 @@ class SlopeBasis:
         m = len(self.points)
         scaled = lagrange_values(self.points, np.outer(c, self.points).ravel()).reshape(len(c), m, m)
         return c[:, None] * np.einsum("l,cli->ci", self.weights, scaled)
-
-    def taylor(self, terms: int) -> np.ndarray:
-        """Taylor coefficients of the l_i at c = 1; at most m of them; (terms, m)."""
-        row, rows = self.slopes(np.ones(1)), []
-        for k in range(min(terms, len(self.points))):
-            rows.append(row)
-            row = row @ differentiation_matrix(self.points) / (k + 1)
-        return np.concatenate(rows)
 
 
 def _points(lagrangian: ca.Function, force: ca.Function | None) -> ca.Function:
@@ -111,7 +101,7 @@ class Interval:
     ----------
     system : -> R, ∂R/∂s
     check : -> |R| over its roundoff floor, action of the interval, sizes of the terms of p_1 (d,)
-    end : -> x_1, p_1, Taylor coefficients of the velocity at the end (d, terms)
+    end : -> x_1, p_1, velocity at the end
     denoised : -> s, with zeros in place of slopes that are roundoff only; without constraints s itself
     """
 
@@ -152,8 +142,7 @@ class Interval:
         residual[others], by_s[others, others] = path, by_path
         gained = ca.gradient(action, stretch)
         momentum, summed = ca.vertcat(momentum, p[d] + gained), ca.vertcat(summed, ca.fabs(p[d]) + ca.fabs(gained))
-        powers = ca.DM(range(1, velocity.shape[1] + 1)).T
-        velocity = ca.vertcat(velocity * ca.repmat(stretch**powers, d, 1), ca.SX(1, velocity.shape[1]))
+        velocity = ca.vertcat(velocity * stretch, ca.SX(1, 1))
         return _interval_of(
             [s, x, p, t, h],
             system=(residual, by_s),
@@ -191,8 +180,6 @@ def interval(
     f_size, g_size = ca.vertsplit(sizes * ca.repmat(ca.DM(abs(w)).T, 2 * d, 1), d)
     end_terms = ca.fabs(p) + ca.sum2(f_size)
     terms = end_terms @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
-    taylor = basis.taylor(TAYLOR_TERMS)
-    velocity = (s @ ca.DM(taylor).T) / ca.repmat(h ** ca.DM(range(1, len(taylor) + 1)).T, d, 1)
     terms, denoised = ca.vec(terms), unknowns
     if constraint is not None:
         added, added_terms, end, end_terms, denoised = _constrained_equations(
@@ -209,7 +196,7 @@ def interval(
         [unknowns, x, p, t, h],
         system=(residual, by_s),
         check=(ca.fabs(residual) / (EPS * terms + TINY), action @ ca.DM(w), end_terms),
-        end=(x + s @ ca.DM(b), end, velocity),
+        end=(x + s @ ca.DM(b), end, s @ ca.DM(basis.slopes(np.ones(1))).T / h),
         denoised=(denoised,),
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.buffers import Evaluator
-from casadi_galerkin.functional.interval import TAYLOR_TERMS, SlopeBasis, interval, newton_iteration
+from casadi_galerkin.functional.interval import SlopeBasis, interval, newton_iteration
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ACCEPTED
@@ -110,13 +110,16 @@ class Stepper:
         self.build_seconds = time.perf_counter() - began
 
     def _predicted(self, newton: ca.Function) -> ca.Function:
-        """(x, p, velocity, t, h) -> (x, p, velocity, s, iterations), the velocity by its Taylor coefficients."""
-        d, powers = self.dimension, ca.DM(range(min(TAYLOR_TERMS, self.method.degree))).T
-        sizes = {"x": d, "p": d, "velocity": (d, powers.numel()), "t": 1, "h": 1}
-        x, p, velocity, t, h = (ca.MX.sym(name, *np.atleast_1d(size)) for name, size in sizes.items())
-        parts = ca.DM([*self.basis.points, 1.0][: self._shape[1]])  # with constraints the velocity of the end is one
-        basis = ca.repmat(parts, 1, powers.numel()) ** ca.repmat(powers, parts.numel(), 1)
-        guess = (velocity * ca.repmat(h ** (powers + 1), d, 1)) @ basis.T
+        """(x, p, velocity, t, h) -> (x, p, velocity, s, iterations); the velocity predicts the next interval.
+
+        With its derivative, too, large steps found other solutions.
+        """
+        d, sizes = (
+            self.dimension,
+            {"x": self.dimension, "p": self.dimension, "velocity": self.dimension, "t": 1, "h": 1},
+        )
+        x, p, velocity, t, h = (ca.MX.sym(name, size) for name, size in sizes.items())
+        guess = ca.repmat(h * velocity, 1, self._shape[1])  # with constraints the velocity of the end is one
         impulses = ca.MX(self._shape[0] - d, self._shape[1])
         s, iterations = newton(ca.densify(ca.vertcat(guess, impulses)), x, p, t, h)
         s = self.interval.denoised(s, x, p, t, h)
@@ -130,8 +133,7 @@ class Stepper:
         x, p, velocity, s, iterations = rolled(*inputs)
         before = [ca.horzcat(first, later[:, :-1]) for first, later in zip(inputs[:2], (x, p), strict=True)]
         ratio, action, terms = self.interval.check.map(count)(s, *before, *inputs[3:])
-        last = velocity[:, velocity.shape[1] - self._step.size2_in(2) :]
-        return ca.Function("piece", inputs, [x, p, last, s, iterations, ratio, action, terms])
+        return ca.Function("piece", inputs, [x, p, velocity[:, -1], s, iterations, ratio, action, terms])
 
     def _evaluator(self, name: str, count: int) -> Evaluator:
         """Evaluator of the roll through `count` intervals, or of their Jacobians; kept."""
@@ -150,13 +152,11 @@ class Stepper:
         d, n = self.dimension, len(mesh) - 1
         size, t, h = _pieces(mesh)
         piece = self._evaluator("roll", size)
-        taylor = np.zeros(self._step.numel_in(2))
-        taylor[:d] = velocity
-        state, found = (x, p, taylor), []
+        state, found = (x, p, velocity), []
         for i in range(0, len(h), size):
             *outputs, action, terms = piece(*state, t[i : i + size], h[i : i + size])
-            rolled_x, rolled_p, taylor = outputs[:3]
-            state = (rolled_x[-d:], rolled_p[-d:], taylor)
+            rolled_x, rolled_p, velocity = outputs[:3]
+            state = (rolled_x[-d:], rolled_p[-d:], velocity)
             found.append((rolled_x, rolled_p, terms, *outputs[3:], action))
         xs, ps, terms, s, iterations, ratio, action = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
         rows, columns = self._shape
