@@ -9,7 +9,6 @@ from casadi_galerkin.boundary.all_paths import Paths as Paths
 from casadi_galerkin.boundary.all_paths import paths as paths
 from casadi_galerkin.boundary.branch import Branch as Branch
 from casadi_galerkin.boundary.branch import BranchPoint as BranchPoint
-from casadi_galerkin.boundary.branch import Diagram as Diagram
 from casadi_galerkin.boundary.branch import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation
 from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity

@@ -29,7 +29,7 @@ def main():
     found = {small: cg.paths(problem(small), METHOD, INTERVALS, count=20) for small in COUNTS}
     diagrams = []
     for path in found[0.1]:
-        reached = [branch.trajectories[-1] for diagram in diagrams for branch in diagram]
+        reached = [branch.trajectories[-1] for diagram in diagrams for branch in diagram.branches]
         if not any(np.allclose(path.x, other.x, atol=1e-6) for other in reached if other.parameters == (0.1,)):
             followed = cg.continuation(problem(0.1), [LARGEST], METHOD, INTERVALS, branches=12, guess=path)
             diagrams.append(followed)

@@ -18,7 +18,7 @@ def lagrangian(s, x, v, p):
 
 
 def main():
-    """Follow the straight rod and all that branches off; returns the diagram."""
+    """Follow the straight rod and all that branches off; returns the straight branch, which has the others."""
     rod = cg.BoundaryProblem(lagrangian, (0.0, 1.0), start=[0.0], end=[0.0], parameters=[5.0])
     return cg.continuation(rod, [100.0], cg.Galerkin(degree=8), intervals=12, branches=12)
 

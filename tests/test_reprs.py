@@ -89,7 +89,7 @@ CASES = {
     "Sweep with failures": lambda: cg.sweep(bratu_problem(), rates(3.7), METHOD, 6),
     "Branch": lambda: cg.continuation(bratu_problem(), [4.0], intervals=10),
     "BranchPoint": lambda: cg.continuation(buckling(), [20.0], intervals=6).branch_points[0],
-    "Diagram": lambda: cg.continuation(buckling(), [500.0], intervals=16, branches=30),
+    "Branch with others": lambda: cg.continuation(buckling(), [500.0], intervals=16, branches=30),
     "Fold": lambda: cg.continuation(bratu_problem(), [4.0], intervals=10).folds[0],
     "Paths": lambda: cg.paths(cg.BoundaryProblem(pendulum, (0, 5), [None], [None]), cg.Galerkin(6), 8, count=8),
     "Paths of a coarse mesh": lambda: cg.paths(BY_NAME["long pendulum, index 0"].problem, cg.Galerkin(1), 12, count=1),

@@ -1,10 +1,10 @@
-"""What a continuation returns: the paths of a branch, the folds where it turns back, and where others cross it."""
+"""What a continuation returns: the paths of a branch, the folds where it turns back, and the branches that cross it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 Height = Callable[[Path], float]
 
-BRANCHES_SHOWN = 7  # branches and branch points in a repr
+TARGET = "the target"  # why a branch ends that has led there
+BRANCHES_SHOWN = 4  # in a repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,20 +82,20 @@ class BranchPoint:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Branch(Pictured):
-    """Critical paths along a line of parameters.
+    """Critical paths along a line of parameters, and the branches that are connected with it by branch points.
 
     Attributes
     ----------
-    parameters : (K, n), of each path, in the order in which the branch was followed
-    trajectories : the K paths
+    trajectories : the K paths, in the order in which the branch was followed
     folds : in the same order
-    reached : whether the branch led to the target
-    stopped : why it ended: at the target, or at the parameters it began with, to which a fold turned it back, or before
-        the first path that the mesh does not resolve
     branch_points : BranchPoints in the same order
-    origin : BranchPoint from which it leads away; None for the branch of the problem's own path
+    stopped : why it ended: at the target, or at the parameters it began with, to which a fold turned it back, before
+        the first path that the mesh does not resolve, or where a branch that was followed before goes on
     missed : numbers of paths after which the Morse index changes by more than the folds and branch points found, as at
         a branch point that is not simple
+    origin : BranchPoint from which it leads away; None for the branch of the problem's own path
+    others : Branches that were followed from its branch points and from theirs
+    waiting : number of branches that were not followed, because there were as many as asked for
 
     Examples
     --------
@@ -105,16 +106,39 @@ class Branch(Pictured):
     >>> branch = cg.continuation(problem, [3.0], intervals=10)
     >>> branch.stopped, branch.parameters[[0, -1]].tolist(), branch.trajectories[-1](0.5).round(6).tolist()
     ('the target', [[1.0], [3.0]], [0.640147])
+
+    A diagram:
+
+    >>> rod = lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0])
+    >>> problem = cg.BoundaryProblem(rod, (0, 1), [0.0], [0.0], parameters=[5.0])
+    >>> straight = cg.continuation(problem, [20.0], intervals=10, branches=3)  # and bent to either side
+    >>> [branch.trajectories[-1].morse_index for branch in straight.branches]
+    [1, 0, 0]
     """
 
-    parameters: np.ndarray
     trajectories: tuple[Trajectory, ...]
     folds: tuple[Fold, ...]
-    reached: bool
+    branch_points: tuple[BranchPoint, ...]
     stopped: str
-    branch_points: tuple[BranchPoint, ...] = ()
-    origin: BranchPoint | None = None
     missed: tuple[int, ...] = ()
+    origin: BranchPoint | None = None
+    others: tuple[Branch, ...] = ()
+    waiting: int = 0
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """(K, n), of each path."""
+        return np.array([path.parameters for path in self.trajectories])
+
+    @property
+    def reached(self) -> bool:
+        """Whether the branch led to the target."""
+        return self.stopped == TARGET
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """The branch and the others."""
+        return self, *self.others
 
     def plot(
         self,
@@ -123,7 +147,7 @@ class Branch(Pictured):
         labels: Sequence[str] | None = None,
         parameter: int = 0,
     ) -> Axes:
-        """Draw one number of every path over one parameter, by Morse index; returns Matplotlib's axes.
+        """Draw one number of every path of all branches over one parameter, by Morse index; returns Matplotlib's axes.
 
         Minima of the action, of index 0, are drawn as full lines, all others dashed, folds as crosses and branch points
         as circles.
@@ -136,10 +160,29 @@ class Branch(Pictured):
         labels : names of the parameter and of the height, with units
         parameter : which, from 0 to n - 1
         """
-        return _drawn([self], height, axes, labels, parameter)
+        if not (height is None or callable(height)):
+            raise TypeError(f"height must be a callable Path -> number, got {height!r}")
+        checked_index("parameter", parameter, self.parameters.shape[1])
+        of_path = height or root_mean_square
+
+        def place(at: Any) -> tuple[float, float]:  # of a path, a fold or a branch point
+            value = finite("what height returns", of_path(getattr(at, "path", at)))
+            return at.parameters[parameter], value
+
+        drawn = [[(path.morse_index, *place(path)) for path in branch.trajectories] for branch in self.branches]
+        for branch, places in zip(self.branches, drawn, strict=True):
+            if branch.origin is not None:
+                places.insert(0, (places[0][0], *place(branch.origin)))
+        folds, points = (
+            [place(at) for branch in self.branches for at in getattr(branch, name)]
+            for name in ("folds", "branch_points")
+        )
+        if labels is None and axes is None:
+            labels = f"p[{parameter}]", "root mean square of x" if height is None else "height"
+        return plot_branches(drawn, folds, points, axes, labels)
 
     def __repr__(self) -> str:
-        """Summarize the branch."""
+        """Summarize the branch, and say what other branches there are."""
         count, ends = counted(len(self.trajectories), "path"), f"from {self.parameters[0]} to {self.parameters[-1]}"
         found = [("fold", fold) for fold in self.folds] + [("branch point", point) for point in self.branch_points]
         lines = [f"Branch of {count} {ends}, {self.stopped}"]
@@ -149,77 +192,11 @@ class Branch(Pictured):
             lines.append(
                 f"  the Morse index changes by more than that after {counted(after, 'path')}: something is missed"
             )
-        return "\n".join(lines)
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class Diagram(Pictured):
-    """The branches that are connected with a path by branch points.
-
-    Attributes
-    ----------
-    branches : Branches, that of the problem's own path first
-    waiting : number of branches that were not followed, because `branches` was reached
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> import casadi_galerkin as cg
-    >>> rod = lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0])
-    >>> problem = cg.BoundaryProblem(rod, (0, 1), [0.0], [0.0], parameters=[5.0])
-    >>> diagram = cg.continuation(problem, [20.0], intervals=10, branches=3)  # straight, and bent to either side
-    >>> [branch.trajectories[-1].morse_index for branch in diagram]
-    [1, 0, 0]
-    """
-
-    branches: tuple[Branch, ...]
-    waiting: int
-
-    def __len__(self) -> int:
-        return len(self.branches)
-
-    def __getitem__(self, i: int) -> Branch:
-        return self.branches[i]
-
-    def __iter__(self) -> Iterator[Branch]:
-        return iter(self.branches)
-
-    @property
-    def folds(self) -> tuple[Fold, ...]:
-        """Folds of all branches."""
-        return tuple(fold for branch in self.branches for fold in branch.folds)
-
-    @property
-    def branch_points(self) -> tuple[BranchPoint, ...]:
-        """Branch points of all branches; one that two of them pass comes once."""
-        points: dict[int, BranchPoint] = {}
-        for branch in self.branches:
-            points |= {id(point.path): points.get(id(point.path), point) for point in branch.branch_points}
-        return tuple(points.values())
-
-    def plot(
-        self,
-        height: Height | None = None,
-        axes: Axes | None = None,
-        labels: Sequence[str] | None = None,
-        parameter: int = 0,
-    ) -> Axes:
-        """Draw all branches into one picture, as `Branch.plot` draws one, with the same arguments."""
-        return _drawn(self.branches, height, axes, labels, parameter)
-
-    def __repr__(self) -> str:
-        """Summarize all branches."""
-        waiting = f", {self.waiting} more not followed" if self.waiting else ""
-        at = ", ".join(map(str, [point.parameters for point in self.branch_points[:BRANCHES_SHOWN]]))
-        lines = [
-            f"Diagram of {len(self)} branch{'es' * (len(self) != 1)}{waiting}",
-            f"  {counted(len(self.branch_points), 'branch point')}{' at ' * bool(at)}{at}",
-        ]
-        for branch in self.branches[:BRANCHES_SHOWN]:
-            folded = f"; {counted(len(branch.folds), 'fold')}" if branch.folds else ""
-            lines.append(f"  {repr(branch).splitlines()[0]}{folded}")
-        if len(self) > BRANCHES_SHOWN:
-            lines.append(f"  ... {len(self) - BRANCHES_SHOWN} more")
+        lines += [f"  {repr(branch).splitlines()[0]}" for branch in self.others[:BRANCHES_SHOWN]]
+        if len(self.others) > BRANCHES_SHOWN:
+            lines.append(f"  ... {len(self.others) - BRANCHES_SHOWN} more")
+        if self.waiting:
+            lines.append(f"  {self.waiting} more not followed")
         return "\n".join(lines)
 
 
@@ -229,36 +206,3 @@ def root_mean_square(path: Path) -> float:
     rule, steps = gauss(polynomial.degree + 1), np.diff(polynomial.mesh)
     squares = np.sum(polynomial.at_parts(np.array(rule.points))[0] ** 2, axis=0)
     return float(np.sqrt(steps @ squares @ rule.weights / np.sum(steps)))
-
-
-def _drawn(
-    branches: Sequence[Branch],
-    height: Height | None,
-    axes: Axes | None,
-    labels: Sequence[str] | None,
-    parameter: int,
-) -> Axes:
-    if height is None:
-        height, name = root_mean_square, "root mean square of x"
-    elif callable(height):
-        name = "height"
-    else:
-        raise TypeError(f"height must be a callable Path -> number, got {height!r}")
-    checked_index("parameter", parameter, branches[0].parameters.shape[1])
-
-    def place(at: Fold | BranchPoint | Trajectory, parameters: np.ndarray) -> tuple[float, float]:
-        path = at if isinstance(at, Trajectory) else at.path
-        return parameters[parameter], finite("what height returns", height(path))
-
-    drawn = []
-    for branch in branches:
-        paths = zip(branch.trajectories, branch.parameters, strict=True)
-        places = [(path.morse_index, *place(path, parameters)) for path, parameters in paths]
-        if branch.origin is not None and places:
-            places.insert(0, (places[0][0], *place(branch.origin, branch.origin.parameters)))
-        drawn.append(places)
-    folds = [place(fold, fold.parameters) for branch in branches for fold in branch.folds]
-    points = [place(point, point.parameters) for branch in branches for point in branch.branch_points]
-    if labels is None and axes is None:
-        labels = f"p[{parameter}]", name
-    return plot_branches(drawn, folds, points, axes, labels)

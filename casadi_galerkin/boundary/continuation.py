@@ -11,12 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.branch import Branch, BranchPoint, Diagram, Fold
+from casadi_galerkin.boundary.branch import TARGET, Branch, BranchPoint, Fold
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -38,46 +37,14 @@ from casadi_galerkin.solvers.curve import Crossing, Curve, Point
 from casadi_galerkin.solvers.newton import POLISHING, Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 
-PARAMETERS_PLACE = 3  # their place among the data
-FIRST_BRANCH_STEP = 0.05  # arc length, in which the path is relative to how far the branch has led
-# a shorter step may pass what is no simple branch point, instead of having jumped to a branch nearby
-CROSSING_STEP = 1e-3
+LOST = "cannot be followed beyond the parameters"
 # last Newton step after which the next one is at roundoff; |ṡ| at a fold over its change between the points around it,
 # where the error of s is of the order of the square
 ACCURACY = EPS**0.5
 # least change of an unknown that counts, over its size and over the largest change: rounding then leaves steps of
-# EPS^(2/3), below ACCURACY; and distance over the sizes of paths below which branch points are one
+# EPS^(2/3), below ACCURACY; distance over the sizes of paths below which branch points are one; and a step so short
+# that it passes what is no simple branch point, and has not jumped to a branch nearby
 LEAST_CHANGE = EPS ** (1 / 3)
-# truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
-UNRESOLVED_FOLDS = 0.01
-# unknowns from which no determinant is computed, 0.1 s each: without an index no branch point is seen
-LARGEST_DETERMINANT = 1000
-BRANCH_STEPS = 3000  # most steps along a branch, those that were too long included
-
-
-@overload
-def continuation(
-    problem: BoundaryProblem,
-    target: Sequence[float],
-    method: Galerkin | None = None,
-    intervals: int | None = None,
-    *,
-    mesh: ArrayLike | None = None,
-    guess: Guess | None = None,
-) -> Branch: ...
-
-
-@overload
-def continuation(
-    problem: BoundaryProblem,
-    target: Sequence[float],
-    method: Galerkin | None = None,
-    intervals: int | None = None,
-    *,
-    branches: int,
-    mesh: ArrayLike | None = None,
-    guess: Guess | None = None,
-) -> Diagram: ...
 
 
 @interrupts_raised()
@@ -90,7 +57,7 @@ def continuation(
     branches: int = 0,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
-) -> Branch | Diagram:
+) -> Branch:
     """Follow a path while the parameters change from the problem's own to a target.
 
     At a fold the path meets another one, and beyond it neither exists.  Where a fold lies between, the branch turns
@@ -99,8 +66,8 @@ def continuation(
     between the problem's parameters and the target's.  Steps are short enough for the branch to turn little in each;
     only a pair of folds much nearer to each other than a tenth of what the branch has covered may be passed over.
 
-    The branch ends before the first path of which the mesh leaves out more than 1 % between the joints: beyond, its
-    folds would be those of the mesh.
+    The branch ends before the first path of which the mesh leaves out more than a thousandth between the joints:
+    beyond, its folds would be those of the mesh.
 
     Parameters
     ----------
@@ -109,13 +76,13 @@ def continuation(
     method : Galerkin; default degree 8
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints; the mesh is the same for the whole branch
-    branches : largest number of branches of a diagram, that of the problem's own path included; zero for this alone
+    branches : largest number of branches, that of the problem's own path included; zero for this alone
     guess : for the first path, as for `solve`
 
     Returns
     -------
     Branch of the paths on the way, with its folds and branch points; its last path is that of the target, where the
-    branch leads there.  With `branches`, the Diagram of all branches
+    branch leads there.  With `branches`, it has the `others`, too
 
     Raises
     ------
@@ -149,13 +116,13 @@ def continuation(
     first = follower.first_point(guess)
     with progress("continuation", unit="path") as advance:
         follower.advance = advance
-        branch, lost = follower.follow(first, None)
-        if not branches:
-            if lost:
-                words = f"the branch {branch.stopped}. Its last path is attached to this error as `path`"
-                raise ConvergenceError(words, branch.trajectories[-1])
-            return branch
-        return follower.diagram(branch, branches)
+        branch = follower.follow(first)
+        if branches:
+            return follower.with_others(branch, branches)
+    if branch.stopped.startswith(LOST):
+        words = f"the branch {branch.stopped}. Its last path is attached to this error as `path`"
+        raise ConvergenceError(words, branch.trajectories[-1])
+    return branch
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,9 +168,9 @@ class BranchFollower(Curve[PathPoint]):
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
         self.transcription = transcription
-        data = transcription.data(transcription.mesh)
+        start, end, mesh, parameters, *given = transcription.data(transcription.mesh)
         super().__init__(
-            transcription.stationarity, data, (*data[:PARAMETERS_PLACE], target, *data[PARAMETERS_PLACE + 1 :])
+            transcription.stationarity, (start, end, mesh, parameters, *given), (start, end, mesh, target, *given)
         )
         # other rules may hold no longer where the branch turns back before
         check(self.problem(np.ones(1)), [singular_mass])
@@ -212,7 +179,8 @@ class BranchFollower(Curve[PathPoint]):
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
         """Parameters at a point z."""
-        return self.data(z[-1])[PARAMETERS_PLACE]
+        _, _, _, parameters, *_ = self.data(z[-1])
+        return parameters
 
     def problem(self, z: np.ndarray) -> BoundaryProblem:
         """The problem at a point z."""
@@ -245,7 +213,7 @@ class BranchFollower(Curve[PathPoint]):
         self._expected = np.where(size > ACCURACY * change, size, change)  # the rate may be zero, or large near a fold
         point = self.point(z, np.append(follow, 1.0), start)
         assert point.trajectory is not None
-        if unresolved := list(point.trajectory._unresolved(UNRESOLVED_FOLDS)):
+        if unresolved := list(point.trajectory._unresolved()):
             words = f"the first path of the branch is {' '.join(*unresolved)}"
             raise ConvergenceError(words, point.trajectory)
         return point
@@ -273,7 +241,7 @@ class BranchFollower(Curve[PathPoint]):
         """The number of negative eigenvalues, and the sign that changes at branch points alone."""
         negative = negative_eigenvalues(self.stationarity, z[:-1], self.data(z[-1]))
         if negative is None:
-            return None, self.orientation(z, tangent) if len(z) < LARGEST_DETERMINANT else np.nan
+            return None, self.orientation(z, tangent)
         return negative, float(np.sign(tangent[-1]) * (-1) ** negative)
 
     def taken(self, point: PathPoint, step: float) -> PathPoint | None:
@@ -304,7 +272,7 @@ class BranchFollower(Curve[PathPoint]):
         crossing = self.crossing(point, found) if crossed else None
         change = 0 if found.negative is None or point.negative is None else abs(found.negative - point.negative)
         missed = (crossed and crossing is None) or change > turned + crossed
-        if missed and step >= CROSSING_STEP:
+        if missed and step >= LEAST_CHANGE:
             return None
         return replace(found, crossing=crossing, missed=missed)
 
@@ -315,8 +283,8 @@ class BranchFollower(Curve[PathPoint]):
         near = found is not None and self.length(found.z - one.z - chord / 2) <= self.length(chord)
         return found if near else None
 
-    def fold(self, before: PathPoint, after: PathPoint, count: int) -> Fold:
-        """Find the zero of ṡ between two points, by the secant and bisection on the chord between them."""
+    def fold(self, before: PathPoint, after: PathPoint) -> np.ndarray:
+        """The zero of ṡ between two points, by the secant and bisection on the chord between them."""
         tangent = self.unit(before.tangent)
         ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
         level = ACCURACY * abs(rates[0] - rates[1])
@@ -330,33 +298,26 @@ class BranchFollower(Curve[PathPoint]):
             rate = self.tangent(z, tangent)[-1]
             side = int(rate * rates[0] <= 0)
             ends[side], rates[side] = z, rate
-        z = ends[int(abs(rates[1]) < abs(rates[0]))]
-        return Fold(self.parameters(z), self.path(z), count)
+        return ends[int(abs(rates[1]) < abs(rates[0]))]
 
-    def follow(self, first: PathPoint, origin: BranchPoint | None) -> tuple[Branch, bool]:
-        """Follow a branch until the target or the start is reached, or a path that the mesh does not resolve.
-
-        Also returns whether it could not be followed.
-        """
+    def follow(self, first: PathPoint, origin: BranchPoint | None = None) -> Branch:
+        """Follow a branch until the target or the start is reached, or a path that the mesh does not resolve."""
         points = [] if first.trajectory is None else [first]
-        folds, crossed, missed, stopped = list[Fold](), list[BranchPoint](), list[int](), ""
-        before = first
+        folds, crossed, missed = list[Fold](), list[BranchPoint](), list[int]()
+        before, stopped = first, ""
         self.weigh(first.z)
-        for point in self.walk(first, FIRST_BRANCH_STEP, BRANCH_STEPS):
+        for point in self.walk(first):
             assert point.trajectory is not None
-            if unresolved := list(point.trajectory._unresolved(UNRESOLVED_FOLDS)):
+            if unresolved := list(point.trajectory._unresolved()):
                 stopped = f"the next one, at {self.parameters(point.z)}, is {' '.join(*unresolved)}"
                 break
+            after = len(points)
             if point.missed:
-                missed.append(len(points))
-            known = point.crossing is not None and self.known(point, point.crossing, len(points), crossed)
+                missed.append(after)
+            known = point.crossing is not None and self.known(point, point.crossing, after, crossed)
             if before.trajectory is not None and point.tangent[-1] * before.tangent[-1] < 0:
-                apex = None if point.crossing is None else crossed[-1]
-                folds.append(
-                    self.fold(before, point, len(points))
-                    if apex is None
-                    else Fold(apex.parameters, apex.path, len(points))
-                )
+                apex = self.fold(before, point) if point.crossing is None else point.crossing.z
+                folds.append(Fold(self.parameters(apex), self.path(apex), after))
             if known:
                 stopped = "joined to one that was followed before"
                 break
@@ -365,20 +326,15 @@ class BranchFollower(Curve[PathPoint]):
             before = point
             self.weigh(point.z)
             if point.z[-1] in (0.0, 1.0):
-                stopped = "the target" if point.z[-1] else "turned back to the start"
+                stopped = TARGET if point.z[-1] else "turned back to the start"
                 break
-        lost = not stopped
-        if lost:
+        else:
             stopped = (
-                f"cannot be followed beyond the parameters {self.parameters(before.z)}: no step is short enough. "
+                f"{LOST} {self.parameters(before.z)}: no step is short enough. "
                 "Another branch may cross it there, or its paths grow without bound"
             )
-        parameters = np.array([self.parameters(point.z) for point in points]).reshape(
-            len(points), len(self.parameters(first.z))
-        )
         paths = tuple(point.trajectory for point in points if point.trajectory is not None)
-        reached = stopped == "the target"
-        return Branch(parameters, paths, tuple(folds), reached, stopped, tuple(crossed), origin, tuple(missed)), lost
+        return Branch(paths, tuple(folds), tuple(crossed), stopped, tuple(missed), origin)
 
     def known(self, point: PathPoint, crossing: Crossing, after: int, crossed: list[BranchPoint]) -> bool:
         """Record a branch point that was passed; whether the curve beyond it was followed before."""
@@ -404,14 +360,13 @@ class BranchFollower(Curve[PathPoint]):
         crossed.append(found)
         return False
 
-    def diagram(self, first: Branch, most: int) -> Diagram:
-        """Follow the other branches from all branch points, one after the other, until there are so many."""
-        branches = [first]
-        while len(branches) < most and any(node.sides for node in self.nodes):
-            node = next(node for node in self.nodes if node.sides)
+    def with_others(self, first: Branch, most: int) -> Branch:
+        """A branch with the others from all branch points, followed one after the other until there are so many."""
+        others = list[Branch]()
+        while 1 + len(others) < most and (nodes := [node for node in self.nodes if node.sides]):
+            node = nodes[0]
             assert node.other is not None
             (self._lowest, self._highest), self._expected = node.extent, np.abs(node.other[:-1])
-            branch, _ = self.follow(PathPoint(node.z, node.sides.pop() * node.other), node.found)
-            if branch.trajectories:
-                branches.append(branch)
-        return Diagram(tuple(branches), sum(len(node.sides) for node in self.nodes))
+            branch = self.follow(PathPoint(node.z, node.sides.pop() * node.other), node.found)
+            others += [branch] if branch.trajectories else []
+        return replace(first, others=tuple(others), waiting=sum(len(node.sides) for node in self.nodes))

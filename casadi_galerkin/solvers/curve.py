@@ -36,10 +36,9 @@ from casadi_galerkin.solvers.stationarity import Linearization, Stationarity
 
 CORRECTOR_ITERATIONS = 10  # most iterations of Newton's method in one correction
 STEP_GROWTH, STEP_REDUCTION = 1.5, 0.5  # factors on the step after a correction, and after one that failed
-# measured on searches for several paths: without a limit of the angle some took 3 times as long; nobody knows how long
-# a curve of loads is
-LOAD_COSINE, LOAD_STEPS = 0.7, 300
-FIRST_LOAD_STEP, FARTHEST_LOAD = 0.1, 1e3  # arc lengths along a curve of loads, in sizes of the path it begins at
+LOAD_COSINE = 0.7  # measured on searches for several paths: without this limit of the angle some took 3 times as long
+FIRST_STEP, MOST_STEPS = 0.1, 300  # arc length in units of the weights; nobody knows how long a curve is
+FARTHEST_LOAD = 1e3  # arc length from where a curve of loads begins, in sizes of the path
 CURVE_TOLERANCE = 0.02  # last Newton step over the arc step, where the points of a curve are not asked for
 # |<ψ F_zz, (t, t')>| over the largest second derivative, below which a branch point is not simple
 SIMPLE_BRANCH_POINT = EPS**0.5
@@ -165,9 +164,10 @@ class Curve(Generic[At]):
         straight = self.cosine(tangent, point.tangent) > self.least_cosine
         return replace(point, z=z, tangent=tangent) if straight else None
 
-    def walk(self, point: At, step: float, most: int) -> Iterator[At]:
-        """Successive points, by at most so many corrections; they end where no step is short enough."""
-        for _ in range(most):
+    def walk(self, point: At) -> Iterator[At]:
+        """Successive points; they end where no step is short enough."""
+        step = FIRST_STEP
+        for _ in range(MOST_STEPS):
             if seconds_left() < 0:
                 return
             found = self.taken(point, step)
@@ -305,7 +305,7 @@ class LoadedCurve(Curve[Point]):
         z = self.start
         if not 0 < self.length(self.follow) < np.inf:
             return  # there is no load, or the path under it is not isolated
-        for point in self.walk(Point(z, self.unit(side * self.follow)), FIRST_LOAD_STEP, LOAD_STEPS):
+        for point in self.walk(Point(z, self.unit(side * self.follow))):
             before, z = z, point.z
             if before[-1] * z[-1] < 0:
                 fraction = before[-1] / (before[-1] - z[-1])

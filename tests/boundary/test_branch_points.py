@@ -57,7 +57,7 @@ def test_a_buckled_rod_is_the_elastica():
     As long as it is free to turn over, the angle of a straight rod has index 1 already, and so on.
     """
     diagram = cg.continuation(rod(), [100.0], intervals=12, branches=12)
-    assert len(diagram) == 7
+    assert len(diagram.branches) == 7
     assert diagram.waiting == 0
     assert len(diagram.branch_points) == 3
     for branch in diagram.branches[1:]:
@@ -67,15 +67,15 @@ def test_a_buckled_rod_is_the_elastica():
             assert path.morse_index == mode
             modulus = np.sin(path.x[0, 0] / 2) ** 2
             assert load == pytest.approx((2 * mode * ellipk(modulus)) ** 2, rel=1e-9)
-    assert str(diagram).startswith("Diagram of 7 branches\n  3 branch points at [9.8696")
+    assert str(diagram).endswith("\n  ... 2 more")
+    assert "  branch point at [9.8696" in str(diagram)
 
 
 @pytest.mark.slow
 def test_no_more_branches_are_followed_than_asked_for():
     diagram = cg.continuation(rod(), [100.0], intervals=12, branches=2)
-    assert (len(diagram), diagram.waiting) == (2, 5)
-    assert diagram[1].origin is not None
-    assert [len(branch.trajectories) for branch in diagram] == [len(branch.trajectories) for branch in diagram.branches]
+    assert (len(diagram.branches), diagram.waiting) == (2, 5)
+    assert diagram.others[0].origin is not None
     assert "5 more not followed" in str(diagram)
 
 
@@ -88,9 +88,9 @@ def test_a_branch_point_without_symmetry_is_found():
     diagram = cg.continuation(problem, [15.0], intervals=10, branches=5)
     (point,) = diagram.branch_points
     assert point.parameters[0] == pytest.approx(np.pi**2, rel=1e-12)
-    assert len(diagram) == 3
-    assert sorted(branch.trajectories[-1].morse_index for branch in diagram[1:]) == [0, 1]
-    assert sorted(branch.stopped for branch in diagram[1:]) == ["the target", "turned back to the start"]
+    assert len(diagram.branches) == 3
+    assert sorted(branch.trajectories[-1].morse_index for branch in diagram.others) == [0, 1]
+    assert sorted(branch.stopped for branch in diagram.others) == ["the target", "turned back to the start"]
 
 
 @pytest.mark.slow
@@ -106,11 +106,11 @@ def test_under_a_force_branch_points_are_found_without_an_index():
 @pytest.mark.slow
 def test_the_apex_of_a_pitchfork_is_a_branch_point_of_the_bent_branch():
     bent = cg.continuation(rod(20.0), [5.0], intervals=12, guess=lambda s: [1.5 * np.cos(np.pi * s)], branches=4)
-    assert bent[0].branch_points[0].parameters[0] == pytest.approx(np.pi**2, rel=1e-11)
-    assert bent[0].folds[0].parameters[0] == bent[0].branch_points[0].parameters[0]
-    np.testing.assert_allclose(bent[0].trajectories[-1].x, -bent[0].trajectories[0].x, rtol=0, atol=1e-8)
-    assert {branch.stopped for branch in bent} == {"the target", "turned back to the start"}
-    assert len(bent) == 3  # straight before and beyond
+    assert bent.branch_points[0].parameters[0] == pytest.approx(np.pi**2, rel=1e-11)
+    assert bent.folds[0].parameters[0] == bent.branch_points[0].parameters[0]
+    np.testing.assert_allclose(bent.trajectories[-1].x, -bent.trajectories[0].x, rtol=0, atol=1e-8)
+    assert {branch.stopped for branch in bent.branches} == {"the target", "turned back to the start"}
+    assert len(bent.branches) == 3  # straight before and beyond
 
 
 @pytest.mark.slow
@@ -119,7 +119,7 @@ def test_curves_that_only_come_near_are_no_branch_point():
         lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 1), [0.0], [1e-4], parameters=[5.0]
     )
     diagram = cg.continuation(beside, [20.0], intervals=12, branches=5)
-    assert len(diagram) == 1
+    assert not diagram.others
     assert diagram.branch_points == ()
 
 
@@ -129,7 +129,7 @@ def test_where_a_family_crosses_no_other_branch_is_followed():
     )
     diagram = cg.continuation(rest, [15.0], intervals=6, branches=5)
     assert diagram.branch_points[0].parameters[0] == pytest.approx(np.pi**2, rel=1e-11)
-    assert len(diagram) == 1
+    assert not diagram.others
 
 
 def test_where_the_index_changes_by_two_it_is_said():
@@ -163,10 +163,10 @@ def test_of_carriers_problem_four_paths_are_one_component():
     assert len(found) == 12
     assert [path.morse_index for path in found] == [0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6]
     highest = cg.continuation(carrier, [0.3], cg.Galerkin(8), 24, guess=found[-1], branches=12)
-    assert len(highest) == 3
+    assert len(highest.branches) == 3
     np.testing.assert_allclose([at.parameters[0] for at in highest.folds], [0.171870], atol=1e-6)
     np.testing.assert_allclose([at.parameters[0] for at in highest.branch_points], [0.157039], atol=1e-6)
-    assert all(branch.parameters[-1, 0] == 0.15 for branch in highest)
+    assert all(branch.parameters[-1, 0] == 0.15 for branch in highest.branches)
 
 
 def test_bad_numbers_of_branches_are_refused():

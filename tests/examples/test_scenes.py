@@ -331,7 +331,7 @@ def eulers_loads(module, diagram):
     """The load of the k-th shape is (2 k K(m))², with m = sin²(α/2) of its largest angle α."""
     loads = [point.parameters[0] for point in diagram.branch_points]
     np.testing.assert_allclose(loads, (np.pi * np.arange(1, 4)) ** 2, rtol=1e-9, atol=0)
-    straight, *bent = diagram
+    straight, *bent = diagram.branches
     assert [path.morse_index for path in straight.trajectories[:: len(straight.trajectories) - 1]] == [0, 3]
     assert len(bent) == 6
     for branch in bent:
@@ -345,14 +345,14 @@ def eulers_loads(module, diagram):
 def all_of_carriers_paths(module, answer):
     found, diagrams = answer
     assert {small: len(paths) for small, paths in found.items()} == module.COUNTS
-    ends = [branch.trajectories[-1] for diagram in diagrams for branch in diagram]
-    starts = [diagram[0].trajectories[0] for diagram in diagrams]
+    ends = [branch.trajectories[-1] for diagram in diagrams for branch in diagram.branches]
+    starts = [diagram.trajectories[0] for diagram in diagrams]
     back = [path for path in (*starts, *ends) if path.parameters == (0.1,)]
     assert len(back) == module.COUNTS[0.1]
     assert len(diagrams) == 5
     # of each family that is not followed to the end, mirror images meet where the index of the symmetric path changes
     for diagram in diagrams[1:]:
-        assert all(not branch.missed for branch in diagram)
+        assert all(not branch.missed for branch in diagram.branches)
         assert len(diagram.branch_points) == 1
 
 

@@ -324,12 +324,11 @@ SHOWN = {
     "sweep": lambda problem: cg.sweep(problem, [{}], cg.Galerkin(2), 2),
     "branch": lambda problem: cg.continuation(problem, [2.0], intervals=4),
     "paths": lambda problem: cg.paths(problem, intervals=4, count=1),
-    "diagram": lambda problem: cg.continuation(problem, [2.0], intervals=4, branches=1),
     "comparison": lambda problem: cg.compare(problem, intervals=4),
 }
 
 
-@pytest.mark.parametrize("name", ["sweep", *slow("branch", "paths", "diagram", "comparison")])
+@pytest.mark.parametrize("name", ["sweep", *slow("branch", "paths", "comparison")])
 def test_a_notebook_shows_text_and_picture(name):
     problem = cg.BoundaryProblem(lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0], (0, 1), [0.0], [1.0], parameters=[1.0])
     shown = SHOWN[name](problem)

@@ -27,7 +27,7 @@ def followed(problem, target):
     z = np.append(graph.critical_point().solution.unknowns, 0.0)
     curve.weights = np.ones(len(z))
     forward = np.append(np.zeros(len(z) - 1), 1.0)
-    for point in curve.walk(Point(z, curve.tangent(z, forward)), 0.05, 200):
+    for point in curve.walk(Point(z, curve.tangent(z, forward))):
         if point.z[-1] >= 1:
             break
     curve.tolerance = 1e-12
