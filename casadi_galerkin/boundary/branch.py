@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Height = Callable[[Path], float]
 
 TARGET = "the target"  # why a branch ends that has led there
-BRANCHES_SHOWN = 4  # in a repr
+SHOWN = 4  # branches, and folds and branch points, in a repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,16 +185,14 @@ class Branch(Pictured):
         """Summarize the branch, and say what other branches there are."""
         count, ends = counted(len(self.trajectories), "path"), f"from {self.parameters[0]} to {self.parameters[-1]}"
         found = [("fold", fold) for fold in self.folds] + [("branch point", point) for point in self.branch_points]
+        found = sorted(found, key=lambda item: item[1].after)
+        listed = [f"{name} at {at.parameters}, after {counted(at.after, 'path')}" for name, at in found]
         lines = [f"Branch of {count} {ends}, {self.stopped}"]
-        for name, at in sorted(found, key=lambda item: item[1].after):
-            lines.append(f"  {name} at {at.parameters}, after {counted(at.after, 'path')}")
-        for after in self.missed:
-            lines.append(
-                f"  the Morse index changes by more than that after {counted(after, 'path')}: something is missed"
-            )
-        lines += [f"  {repr(branch).splitlines()[0]}" for branch in self.others[:BRANCHES_SHOWN]]
-        if len(self.others) > BRANCHES_SHOWN:
-            lines.append(f"  ... {len(self.others) - BRANCHES_SHOWN} more")
+        for part in (listed, [repr(branch).splitlines()[0] for branch in self.others]):
+            lines += [f"  {line}" for line in part[:SHOWN]] + [f"  ... {len(part) - SHOWN} more"] * (len(part) > SHOWN)
+        if self.missed:
+            after = counted(self.missed[0], "path")
+            lines.append(f"  the Morse index changes by more than that after {after}: something is missed")
         if self.waiting:
             lines.append(f"  {self.waiting} more not followed")
         return "\n".join(lines)
