@@ -100,10 +100,10 @@ class ControlTranscription:
         _check_steps(mesh)
         if isinstance(problem, ControlProblem):
             check(problem, (determined,))
-        self.phases = parted(problem).phases
-        for phase in self.phases:
-            check_points(phase.constraint, method)
         with fork_waits:
+            self.phases = parted(problem).phases
+            for phase in self.phases:
+                check_points(phase.constraint, method)
             self.graph = ControlGraph(problem, method, mesh, mapping)
         self.numbering, self.joins = self.graph.numbering, self.graph.joins
         self.bounds = bounds_of(self.phases, self.joins, self.numbering)
