@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.control.control_graph import ControlGraph, Report
+from casadi_galerkin.control.control_graph import Report
 from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.control.failed_optimization import undefined
-from casadi_galerkin.control.optimizer import Optimum
+from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
-from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.phases import Phases
+from casadi_galerkin.problems.phases import Phases, parted
 from casadi_galerkin.problems.statements import FEASIBLE
 from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.control_path import ControlPath, joined_controls, side_by_side
@@ -27,10 +25,7 @@ from casadi_galerkin.solution.path import Path
 
 
 def answer(
-    problem: ControlProblem | Phases,
-    phases: Sequence[ControlProblem],
-    graph: ControlGraph,
-    optimum: Optimum,
+    variations: SecondOrder,
     report: Report,
     found_values: Sequence[dict[str, np.ndarray]],
     paths: Sequence[PiecewisePolynomial],
@@ -40,14 +35,13 @@ def answer(
 
     Parameters
     ----------
-    problem, phases : as it was solved, and what it is parted into
-    graph, optimum, report : of the program, and the point that was found
+    variations, report : of the point that was found
     found_values, paths : values of the fields, and the path, of every phase
     solve : attributes of the path that report on the solve
     """
-    numbers, multipliers = graph.numbering, optimum.multipliers / graph.numbering.units(found_values)
-    bound_multipliers = optimum.bound_multipliers
-    solve["cost_size"] = report.cost_size
+    problem, optimum, numbers = variations.problem, variations.optimum, variations.known_graph.numbering
+    phases, multipliers = parted(problem).phases, optimum.multipliers / numbers.units(found_values)
+    solve |= {"variations": variations, "cost_size": report.cost_size}
     hamiltonians = np.split(report.hamiltonian, np.cumsum([chain.intervals for chain in numbers.chains])[:-1])
     starts = np.split(report.starts, np.cumsum([chain.dimension - chain.mechanical for chain in numbers.chains])[:-1])
     found, limits = list[ControlTrajectory](), list[ControlPath]()
@@ -58,18 +52,16 @@ def answer(
         solved = phase.found(span, parameters, tuple(joints[chain.breaks].tolist()))
         controls = np.concatenate(values["controls"]).T
         control = ControlPath(joints, chain.control_times, controls, rule, phase.control_bounds)
-        for reason, residual in (
-            (off_constraint(solved, path) or off_tables(solved, path, control), solve["residual"]),
-            (undefined(phase, path, control, parameters), math.inf),
-        ):
-            if reason is not None:
-                where = "" if numbers.alike else f"of phase {k} "
-                raise ConvergenceError(f"no path {where}was found: {reason}", Path(path), residual, solve["iterations"])
+        reason = off_constraint(solved, path) or off_tables(solved, path, control)
+        reason = reason or undefined(phase, path, control, parameters)
+        if reason is not None:
+            words = f"no path {'' if numbers.alike else f'of phase {k} '}was found: {reason}"
+            raise ConvergenceError(words, Path(path), solve["residual"], solve["iterations"])
         momentum = np.zeros((chain.dimension, len(joints)))
         momentum[:mechanical] = (values["momentum"] * values["sizes"]).T
         rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T
-        costate = chain.costate(multipliers, bound_multipliers, joints, starts[k])
         limits.append(_path_multipliers(chain, multipliers, joints))
+        costate = chain.costate(multipliers, optimum.bound_multipliers, joints, starts[k])
         found.append(
             ControlTrajectory(
                 polynomial=path,

@@ -245,14 +245,10 @@ class ControlTranscription:
             if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
                 raise explained(phases, name, numbers, optimum, report.cost, relative, paths)
             return answer(
-                problem,
-                phases,
-                self.graph,
-                optimum,
+                SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, self.graph),
                 report,
                 values,
                 paths,
-                variations=SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, self.graph),
                 iterations=optimum.iterations,
                 residual=violation / EPS,
                 violation=violation,

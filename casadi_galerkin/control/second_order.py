@@ -62,7 +62,9 @@ class SecondOrder:
     cost: float
     graph: ControlGraph | None
 
-    def _graph(self) -> ControlGraph:
+    @property
+    def known_graph(self) -> ControlGraph:
+        """The graph, built again where it was left behind."""
         return self.graph or ControlGraph(self.problem, self.method, self.mesh)
 
     def remaining_error(self, phase: int | None = None) -> RemainingError:
@@ -77,7 +79,7 @@ class SecondOrder:
 
         They are at least the effect of rounding, and infinite where the Newton step is not finite.
         """
-        graph, at = self._graph(), self.optimum
+        graph, at = self.known_graph, self.optimum
         kinds = graph.numbering.unknown_kinds
         steps = _newton_step(graph, at)
         change = STEPS_LEFT * abs(float(ca.dot(graph.gradient(at.unknowns, at.data)[1], steps[0])))
@@ -95,7 +97,7 @@ class SecondOrder:
     def sensitivity(self, path: ControlTrajectory) -> ControlSensitivity:
         """Derivatives of the path by the data of its problem."""
         assert isinstance(self.problem, ControlProblem), "a path of Phases has none"
-        return sensitivity_of(self.problem, self._graph(), self.optimum, path)
+        return sensitivity_of(self.problem, self.known_graph, self.optimum, path)
 
     def negative(self) -> int:
         """Number of independent directions in which the cost decreases to second order.
@@ -118,7 +120,7 @@ class SecondOrder:
         From A = LDLᵀ, the solution of Lᵀ z = e_k has zᵀA z = D_k: of these, the one along which the cost falls most
         steeply, with the sign of less Lagrangian.
         """
-        (matrix, to_unknowns), at, graph = self._second_variation(), self.optimum, self._graph()
+        (matrix, to_unknowns), at, graph = self._second_variation(), self.optimum, self.known_graph
         pivots, upper, order = ca.ldl(matrix)
         pivots = np.array(pivots).ravel()
         below = np.flatnonzero(pivots < 0)
@@ -140,7 +142,7 @@ class SecondOrder:
 
     def _second_variation(self) -> tuple[ca.DM, ca.DM]:
         """The second variation with the active constraints as penalties, and the matrix to unknowns from its own."""
-        graph, at = self._graph(), self.optimum
+        graph, at = self.known_graph, self.optimum
         numbers = graph.numbering
         values, gradients = graph.jacobian(at.unknowns, at.data)
         sizes, rows = _sizes(numbers, at.unknowns), np.array(values).ravel()
