@@ -71,8 +71,8 @@ class ControlPath:
         rule: np.ndarray,
         bounds: ArrayLike = (-np.inf, np.inf),
     ) -> None:
-        intervals = [np.reshape(side, (np.size(side), 1)) if np.ndim(side) < 2 else side for side in np.asarray(bounds)]
-        sides = np.stack([np.broadcast_to(side, (len(values), len(mesh) - 1)) for side in intervals])
+        shape = len(mesh) - 1, len(values)
+        sides = np.stack([np.broadcast_to(np.transpose(side), shape).T for side in np.asarray(bounds)])
         arrays = mesh, points, values, rule, sides
         self.mesh, self.points, self.values, self.rule, self.bounds = map(read_only, arrays)
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-
-AT_REST = 1e-3  # speed at the start over the largest one below which the start does not determine the phase
 
 
 def refuse_free_phase(name: str, problem: BoundaryProblem) -> None:
@@ -27,7 +26,9 @@ def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
     """Normal and point, (2d,), of the plane through the start of a path, orthogonal to its scaled velocity."""
     sizes = path.sizes
     speeds = np.linalg.norm(path(path.mesh, 1) / sizes[:, None], axis=0)
-    if not speeds[0] > AT_REST * np.max(speeds):
+    if not speeds[0] > np.sqrt(EPS) * np.max(
+        speeds
+    ):  # else half of the phase is rounding
         raise ValueError(
             "a periodic path of given energy needs a guess that moves at its start, got one that rests there: its "
             "duration and its phase follow from the guess"
