@@ -24,7 +24,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import APART, counted, flag
 from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.control.control_refinement import without_idle_breakpoints
 from casadi_galerkin.control.control_transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -217,17 +217,17 @@ def trade(
     paths = [path for _, path in measured if path is not None]
     if not paths:
         raise ConvergenceError(f"no way led to a path; the first failure: {measured[0][0].failure}")
-    best = max(paths, key=lambda path: path.polynomial.values.size)
-    fine, described, own = best, "given", 0.0
+    described, own = "given", 0.0
     if reference is None:
-        fine = _finest(problem, best)
-        own = fine.estimate_error() if of is None else float(np.max(fine.error_of(of))) / size_of(quantity(of, fine))
-        described = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}"
-    elif isinstance(reference, Trajectory):
-        fine, own = reference, reference.error_estimate or 0.0
-        described += f", own error {own:.1e}" if own else ""
-    errors = partial(_errors, fine, fine if reference is None else reference, of)
-    rows = [row if path is None else replace(row, **errors(path)) for row, path in measured]
+        reference = _finest(problem, max(paths, key=lambda path: path.polynomial.values.size))
+        own = reference.estimate_error()
+        if of is not None:
+            own = float(np.max(reference.error_of(of))) / size_of(quantity(of, reference))
+        described = f"{reference.method} on {counted(len(reference.t) - 1, 'interval')}, own error {own:.1e}"
+    elif isinstance(reference, Trajectory) and reference.error_estimate:
+        own = reference.error_estimate
+        described += f", own error {own:.1e}"
+    rows = [row if path is None else replace(row, **_errors(reference, of, path)) for row, path in measured]
     return Trade(tuple(rows), described, own, None if of is None else name_of(of))
 
 
@@ -251,18 +251,20 @@ def _check_reference(problem: AnyProblem, given: Reference, of: Quantity | None)
         quantity(of, given)
 
 
-def _errors(fine: Trajectory, reference: Reference, of: Quantity | None, path: Trajectory) -> dict[str, Any]:
-    """Errors of a path by their names in a `Row`, all relative to the sizes of a fine path, most often the reference.
+def _errors(reference: Reference, of: Quantity | None, path: Trajectory) -> dict[str, Any]:
+    """Errors of a path by their names in a `Row`, all relative to the sizes of the reference.
 
     Paths are compared at the same fractions of the durations between breakpoints, because a control problem may leave
     these free; by how much the durations differ is an error, too.
     """
-    at: Callable[..., Any] = reference
-    if not isinstance(reference, Trajectory):
-        at = partial(sampled, "the reference", reference, dimension=len(path.x))
-    marks, own = _marks(path.problem), _marks(fine.problem)
     times = path.polynomial.times(sampling_parts(4 * path.method.degree)[:-1])  # as fine as the largest error asks
-    missed = np.max(np.abs(path(times) - at(map_times(times, marks, own))) / fine.sizes[:, None], axis=0)
+    marks = _marks(path.problem)
+    if isinstance(reference, Trajectory):
+        own = _marks(reference.problem)
+        values = reference(map_times(times, marks, own))
+    else:
+        own, values = marks, sampled("the reference", reference, times, len(path.x))
+    missed = np.max(np.abs(path(times) - values) / component_sizes(values)[:, None], axis=0)
     lasting = np.max(np.abs(np.subtract(marks, marks[0]) - np.subtract(own, own[0]))) / (own[-1] - own[0])
     error = float(max(np.max(missed), lasting))
     errors = {"error": error, "path_error": error, "joint_error": float(np.max(missed[np.isin(times, path.t)]))}
