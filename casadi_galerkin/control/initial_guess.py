@@ -25,6 +25,7 @@ from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, check_finite_values, guess_values, meeting_ends, sampled
 from casadi_galerkin.solution.optimal_path import OptimalPath
+from casadi_galerkin.solution.path import Path
 
 LARGEST_TERMS_RATIO = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
 LEAST_TERMS = np.sqrt(EPS)  # part of the largest terms on the straight line below which those of a component are none
@@ -207,7 +208,7 @@ def guesses_of_phases(
             raise ValueError(f"the guess must be a list of {count}, one for every phase, got {guess!r}")
         if guess is None:
             return _lines(problem)
-        return guess if isinstance(guess, list) else [guess] * count
+        return guess if isinstance(guess, list) else [_of_whole(guess, problem.t_span)] * count
     mesh, times = whole.mesh, times_at(whole.mesh, first.control_times)
     path_guess, controls = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     if isinstance(guess, ControlTrajectory):
@@ -222,6 +223,16 @@ def guesses_of_phases(
         )
     )
     return [(path.between(*ends), part) for ends, part in zip(pairwise(cuts.tolist()), parts, strict=True)]
+
+
+def _of_whole(guess: Any, span: tuple[float, float]) -> Any:
+    """A guess of all phases as one of any of them: paths and controls are read at its own times within the whole."""
+    if isinstance(guess, tuple):
+        return tuple(_of_whole(part, span) for part in guess)
+    known = guess.polynomial if isinstance(guess, Path) else guess
+    if not isinstance(known, (PiecewisePolynomial, ControlPath)):
+        return guess
+    return lambda t: known(np.interp(t, span, known.mesh[[0, -1]]))
 
 
 def _lines(problem: Phases) -> list[Any]:

@@ -26,9 +26,7 @@ def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
     """Normal and point, (2d,), of the plane through the start of a path, orthogonal to its scaled velocity."""
     sizes = path.sizes
     speeds = np.linalg.norm(path(path.mesh, 1) / sizes[:, None], axis=0)
-    if not speeds[0] > np.sqrt(EPS) * np.max(
-        speeds
-    ):  # else half of the phase is rounding
+    if not speeds[0] > np.sqrt(EPS) * np.max(speeds):  # else half of the phase is rounding
         raise ValueError(
             "a periodic path of given energy needs a guess that moves at its start, got one that rests there: its "
             "duration and its phase follow from the guess"

@@ -155,6 +155,17 @@ def test_each_phase_has_intervals_of_its_own():
         cg.solve(phases, cg.Galerkin(3), [1])
 
 
+def test_one_guess_of_all_phases_is_read_at_the_times_of_each(tmp_path):
+    path = cg.solve(bouncing(), cg.Galerkin(3), 4)
+    path.to_npz(tmp_path / "bounce.npz")
+    program = cg.transcribe(bouncing(), cg.Galerkin(3), 4)
+    guess = cg.load(tmp_path / "bounce.npz")
+    begun = starting_point(program.graph, program.problem, program.calculus, guess)
+    for phase, values in zip(path.phases, begun.values, strict=True):
+        np.testing.assert_allclose(np.concatenate(values["controls"]).T, phase.control.values, rtol=0, atol=SOLVED)
+        np.testing.assert_allclose(values["x"].T, phase.x, rtol=0, atol=SOLVED)
+
+
 def test_other_ends_are_those_of_the_first_and_the_last_phase():
     program = cg.transcribe(bouncing(), cg.Galerkin(3), 4)
     assert program.solve(start=[2.0], end=[2.0]).cost == pytest.approx(4 * program.solve().cost, rel=1e-9)
