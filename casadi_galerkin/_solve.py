@@ -223,7 +223,7 @@ def _refinement(
     limits = limits or Limits()
     if isinstance(problem, BoundaryProblem):
         return RepeatedRefinement(problem, tol, method, intervals, mesh, limits, of, mapping).found
-    first_control_discretization(problem, tol, method, intervals, mesh, None, limits)
+    first_control_discretization(problem, tol, method, intervals, mesh, None, limits, of)
     return partial(_optimized, method, intervals, mesh, tol, of, limits, starts)
 
 
@@ -243,7 +243,7 @@ def _optimized(
 ) -> Any:
     """Refine an optimum from a guess or, without one, from the first path that was found."""
     solver, begun = check_solver(ipopt if solver is None else solver), first if guess is None else guess
-    method, joints = first_control_discretization(problem, tol, method, intervals, mesh, begun, limits)
+    method, joints = first_control_discretization(problem, tol, method, intervals, mesh, begun, limits, of)
     return ControlRefinement(problem, tol, method, limits, solver, verbose, of).run(joints, begun, starts)
 
 

@@ -5,16 +5,14 @@ see `two_comparisons`, which also proposes the next mesh.  Estimated are the rel
 the largest error of x at the joints and between them, relative to the size of its component.  The error of the control
 is not estimated, nor is it known whether the optimum is the global one.
 
-Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
-in place of the coarser path.  Where one of the others is not found, there is no error estimate, and the next mesh has
-every interval halved.
+Where the solver finds no path, it tries again with every interval halved.  Where one of the others is not found, there
+is no error estimate, and the next mesh has every interval halved.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -97,7 +95,6 @@ class ControlRefinement(Refinement[Any, Any]):
     known: TwoComparisons | None = None  # the last error estimate, or None where there was none
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
     solver_error_prevails = False  # whether the remaining solver error was the largest error of the last level
-    guess: Guess | None = None  # with which the refinement began
 
     def __init__(
         self,
@@ -144,8 +141,11 @@ class ControlRefinement(Refinement[Any, Any]):
         known = isinstance(guess, (ControlTrajectory, PhasesTrajectory))
         solver = from_near(self.solver, guess) if known else self.solver
         enough = min(SOLVER_FRACTION * self.goal, np.sqrt(EPS))  # slopes of √EPS change a cost by its rounding
-        if self.of is not None and enough > ACCEPTABLE and solver.name == ipopt.name:
-            solver = replace(solver, options={"acceptable_tol": enough, "acceptable_iter": 1, **solver.options})
+        early = known and self.of is not None and enough > ACCEPTABLE and not self.solver_error_prevails
+        if early and solver.name == ipopt.name:
+            barrier = enough * (guess.cost_size or 1.0) / transcription.numbering.unknowns  # which each bound adds to the cost
+            accept = {"acceptable_tol": enough, "acceptable_iter": 1, "acceptable_compl_inf_tol": barrier}
+            solver = replace(solver, options={**accept, **solver.options})
         try:
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)
@@ -216,14 +216,10 @@ class ControlRefinement(Refinement[Any, Any]):
             raise self.stopped(f"the remaining solver error of {what} is {left:.0e} of its size", *self.best, hint)
 
     def solve_on(self, mesh: np.ndarray, level: ControlTrajectory) -> ControlTrajectory:
-        """Solve from the better path or, where none is found from there, from the first guess on a finer mesh."""
+        """Solve from the better path."""
         try:
             return self.solve_finer(mesh, level if self.known is None else self.known.better)
         except ConvergenceError as failure:
-            again = fits_any_mesh(self.guess) and 2 * (len(mesh) - 1) <= self.limits.intervals
-            if again and not self.out_of_time():  # a path on a coarse mesh may be far from any on a finer one
-                with suppress(ConvergenceError):
-                    return self.solve(self.method, halved(mesh), self.guess)
             raise self.stopped(str(failure), *self.best) from failure
 
     def shortest(self, mesh: np.ndarray) -> np.ndarray:
@@ -239,11 +235,7 @@ class ControlRefinement(Refinement[Any, Any]):
         return super().stopped(reason, level, error, hint)
 
     def run(self, mesh: np.ndarray, guess: Guess | None, starts: int) -> Any:
-        """Refine the path of one start or, of several starts, those that may be the best, and return the best.
-
-        An optimum is left out if it costs more on the first mesh than the best refined one, by more than refinement
-        changed the costs of others.  While others wait, each refinement takes at most half of the time left, because
-        the cheapest path on a coarse mesh may not exist on a finer one.
+        """Refine the path of one start or, of several starts, the best on the first mesh that can be refined.
 
         Raises
         ------
@@ -254,7 +246,6 @@ class ControlRefinement(Refinement[Any, Any]):
         """
         if isinstance(guess, ControlTrajectory):
             guess = replace(guess, problem=without_idle_breakpoints(guess.problem))
-        self.guess = guess
         try:
             with until(self.began + STARTS_TIME_FRACTION * self.limits.seconds):
                 optima, summary = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
@@ -262,21 +253,16 @@ class ControlRefinement(Refinement[Any, Any]):
             if self.out_of_time():
                 raise self.late(failure) from None
             raise
-        found, failures, change = list[ControlTrajectory](), list[ConvergenceError](), 0.0
-        end, levels = self.deadline, distinct_optima(optima)
-        for level in levels:
-            if found and level.cost - change > min(path.cost for path in found):
-                break
+        levels, end = distinct_optima(optima), self.deadline
+        for left, level in zip(range(len(levels), 0, -1), levels, strict=True):
             now = time.perf_counter()
-            self.deadline = end if level is levels[-1] else now + (end - now) / 2
+            self.deadline = now + (end - now) / left  # the cheapest on a coarse mesh may be none on a finer one
             try:
-                found.append(self.refined(level))
-                change = max(change, abs(found[-1].cost - level.cost))
-            except ConvergenceError as failure:
-                failures.append(failure)
-        if not found:
-            raise failures[0]
-        best = min(found, key=lambda path: path.cost)
+                best = self.refined(level)
+                break
+            except ConvergenceError:
+                if left == 1:
+                    raise
         return best.amended(
             solver=best.solver + summary,
             iterations=self.iterations,
@@ -302,12 +288,14 @@ def first_control_discretization(
     mesh: ArrayLike | None,
     guess: Guess | None,
     limits: Limits,
+    of: Quantity | None,
 ) -> tuple[Galerkin, np.ndarray]:
     """Method and joints with which a refinement begins; refuses what does not fit, see `solve` for the arguments.
 
     Without intervals and mesh the joints are those of a guess whose error is known, if they are more.
     """
-    method = control_method_for(tol) if method is None else method
+    if method is None:  # the cost is known to the square of what the path is
+        method = control_method_for(tol if of is None else np.sqrt(tol))
     if problem.hold:
         raise ValueError(
             "with hold every interval has one value of the controls, so the mesh is part of the problem and "

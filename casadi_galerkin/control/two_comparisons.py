@@ -195,12 +195,18 @@ class TwoComparisons:
         return spread_over(mesh, cumulated, max(FEWEST, int(np.ceil(counts).sum())), fixed)
 
 
+def _largest(name: str) -> Any:
+    """The largest value of an attribute in all phases."""
+    return property(lambda self: max(getattr(one, name) for one in self._each))
+
+
 @dataclass(frozen=True)
 class PhasesComparisons:
     """The same of all phases of a path: errors are the largest of a phase, and the cost is that of the whole."""
 
     path: PhasesTrajectory
     finer: tuple[PhasesTrajectory, ...]
+    change, step_in_place = _largest("change"), _largest("step_in_place")
 
     @cached_property
     def _each(self) -> list[TwoComparisons]:
@@ -222,16 +228,6 @@ class PhasesComparisons:
     def known(self) -> Comparisons:
         """What the path keeps of this."""
         return Comparisons((), self.errors, max(one.unseen for one in self._each))
-
-    @property
-    def change(self) -> float:
-        """The largest by the two comparisons alone."""
-        return max(one.change for one in self._each)
-
-    @property
-    def step_in_place(self) -> float:
-        """The largest step that no derivative shows."""
-        return max(one.step_in_place for one in self._each)
 
     @property
     def step_time(self) -> float:
