@@ -143,7 +143,8 @@ class ControlRefinement(Refinement[Any, Any]):
         enough = min(SOLVER_FRACTION * self.goal, np.sqrt(EPS))  # slopes of √EPS change a cost by its rounding
         early = known and self.of is not None and enough > ACCEPTABLE and not self.solver_error_prevails
         if early and solver.name == ipopt.name:
-            barrier = enough * (guess.cost_size or 1.0) / transcription.numbering.unknowns  # which each bound adds to the cost
+            # each bound adds the barrier to the cost
+            barrier = enough * (guess.cost_size or 1.0) / transcription.numbering.unknowns
             accept = {"acceptable_tol": enough, "acceptable_iter": 1, "acceptable_compl_inf_tol": barrier}
             solver = replace(solver, options={**accept, **solver.options})
         try:
