@@ -72,16 +72,15 @@ def _twice_given(problem: BoundaryProblem) -> Iterator[str]:
 
 def _coupled_velocities(problem: BoundaryProblem) -> Iterator[str]:
     """The momentum of a given velocity depends on one that is not given."""
-    masses = pattern(legendre_transform(problem.with_multipliers().lagrangian), VELOCITIES)
     for end in ENDS:
         given = np.array([value is not None for value in getattr(problem, f"{end}_velocity")])
         if given.any():
-            unknown = masses[given].any(axis=0) & ~given
-            if unknown.any():
+            coupled = pattern(legendre_transform(problem.with_multipliers().lagrangian), VELOCITIES)[given].any(axis=0)
+            if (coupled & ~given).any():
                 yield (
                     f"{end}_velocity[{np.argmax(given)}] is given, and by the mass matrix its momentum depends on that "
-                    f"of component {np.argmax(unknown)}, which is not: give both, or {end}_momentum, or state a "
-                    "ControlProblem, whose ends take any of these"
+                    f"of component {np.argmax(coupled & ~given)}, which is not: give both, or {end}_momentum, or state "
+                    "a ControlProblem, whose ends take any of these"
                 )
 
 

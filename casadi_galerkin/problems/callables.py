@@ -123,7 +123,7 @@ def _column(name: str, function: Traceable, arguments: Mapping[str, ca.SX], rows
             raise TypeError(f"{name} must return one CasADi expression per component, got {value!r}") from error
     if not isinstance(value, (ca.SX, ca.DM)) and number(value) is None:
         raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
-    value = ca.SX(value)
+    value = value if isinstance(value, ca.SX) else ca.SX(value)
     length = value.numel() if rows == "any" else 1 if rows == "scalar" else rows
     if value.shape != (length, 1):
         expected = {"any": "a column vector", "scalar": "a scalar"}.get(str(rows), f"a vector of length {rows}")

@@ -28,6 +28,7 @@ from casadi_galerkin.problems.callables import (
     depends_on_time,
     rows_that_depend,
     sizes_of_terms,
+    with_parameters,
 )
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
@@ -69,8 +70,11 @@ def constraint_at_ends(problem: Any) -> Iterator[str]:
     Looked at are constraints that depend on nothing free.  A velocity that is given at a given position must be
     tangent, G v + ∂g/∂t = 0, up to rounding of the largest velocity, or of the largest length over the duration.
     """
-    ends, function, d = problem.given_at_ends, problem.numeric.constraint, problem.dimension
-    for k, (name, (t, x, v, p)) in enumerate(ends.items() if function is not None else ()):
+    if problem.constraint is None:
+        return
+    function = with_parameters(problem.constraint, problem.parameters)
+    ends, d = problem.given_at_ends, problem.dimension
+    for k, (name, (t, x, v, p)) in enumerate(ends.items()):
         (time, place), velocity, free = function.sx_in(), ca.SX.sym("v", d), np.isnan(x)
         stated, known = f"x = {list(getattr(problem, name))}", ~depends_on_free(problem.constraint, (t, x, p))
         unknowns, conditions = (int(np.sum(a)) for a in (free, rows_that_depend(function, POSITIONS, free)))

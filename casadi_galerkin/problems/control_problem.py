@@ -83,11 +83,12 @@ def _functions(problem: Any) -> Iterator[tuple[str, ca.Function]]:
 def _velocities_of_rates(problem: Any) -> Iterator[str]:
     """The velocity of a component that follows a rate is that rate: nothing else states it, or depends on it."""
     rated = range(problem.mechanical, problem.dimension)
-    for name, function in _functions(problem):
+    for name, function in _functions(problem) if rated else ():
+        if name in ("running_cost", "path_constraint", "lagrangian"):
+            continue
         velocities = [k for k, argument in enumerate(function.name_in()) if argument[0] == "v"]
         for i in sorted({i for k in velocities for i in entries_of(function, k) if i in rated}):
-            if name not in ("running_cost", "path_constraint"):
-                yield f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead"
+            yield f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead"
     for name in END_MOTIONS[:2]:
         for i in rated:
             if getattr(problem, name)[i] is not None:

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.numbers import APART
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes, or_one
 
 VELOCITY_ITERATIONS = 100
@@ -48,7 +49,7 @@ def singular(mass: np.ndarray, where: str) -> Iterator[str]:
     """That a mass matrix (d, d) is singular or not finite at a point, whatever the units; `where` tells the point."""
     if not np.all(np.isfinite(mass)):
         yield f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}"
-    elif np.linalg.matrix_rank(scaled_masses(mass)[0]) < len(mass):
+    elif np.linalg.cond(scaled_masses(mass)[0]) * APART >= 1:
         yield (
             f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not "
             f"determine the velocities; got {mass.tolist()}"
@@ -56,13 +57,17 @@ def singular(mass: np.ndarray, where: str) -> Iterator[str]:
 
 
 def generic_places(problem: Any, count: int, unit: float = 1.0) -> tuple[np.ndarray, ...]:
-    """Random times, positions, velocities and accelerations near the line between the ends; (d, count)."""
-    (first, last), random = problem.t_span, np.random.default_rng(0)
-    start, end = np.nan_to_num(np.array([problem.start, problem.end], dtype=float))[:, :, None]
-    size = component_sizes(np.hstack((start, end)))[:, None]
-    when, (x, v, a) = random.uniform(size=count), unit * size * random.normal(size=(3, len(size), count))
-    along = start + when * (end - start) + x, (end - start + v) / (last - first), a / (last - first) ** 2
-    return first + when * (last - first), *along
+    """Times, positions, velocities and accelerations as if at random near the line between the ends; (d, count)."""
+    (first, last), given = problem.t_span, np.array([problem.start, problem.end], dtype=float)
+    start, end = given = np.nan_to_num(given)
+    off = np.cos(np.arange(3 * len(start) * count) ** 2).reshape(3, count, -1) * unit * component_sizes(given.T)
+    when = (1 + np.arange(count)[:, None]) / (1 + count)
+    x, v, a = (
+        start + when * (end - start) + off[0],
+        (end - start + off[1]) / (last - first),
+        off[2] / (last - first) ** 2,
+    )
+    return first + when[:, 0] * (last - first), x.T, v.T, a.T
 
 
 def singular_mass(problem: Any) -> Iterator[str]:
@@ -74,16 +79,15 @@ def singular_mass(problem: Any) -> Iterator[str]:
     problem, count = problem.with_multipliers(), problem.mechanical
     if problem.constraint is not None or not count:
         return
-    transform, words = legendre_transform(problem.lagrangian), ""
-    for t, x, v, _ in zip(*(np.transpose(places) for places in generic_places(problem, 3)), strict=True):
+    transform, (times, *places) = legendre_transform(problem.lagrangian), generic_places(problem, 3)
+    for t, x, v in zip(times, places[0].T, places[1].T, strict=True):
         try:
             mass = transform(t, x, v, *[problem.parameters or ()][: transform.n_in() - 3])[1].full()[:count, :count]
         except RuntimeError:  # a Function within L may fail
             return
-        words = next(singular(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {v}"), "")
-        if not words or not np.isfinite(mass).all():
+        if not np.isfinite(mass).all() or not list(singular(mass, "")):
             return
-    yield words
+    yield from singular(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {v}")
 
 
 def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -100,7 +104,7 @@ def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.nd
 def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
     """Whether ∂²L/∂v² has no negative eigenvalue at any of many points; arguments as for `velocities`."""
     eigenvalues = np.linalg.eigvalsh(scaled_masses(_at(transform, t, x)(v)[1])[0])
-    return bool(np.all(eigenvalues[:, 0] >= -len(x) * EPS * np.abs(eigenvalues).max(axis=1)))
+    return bool(np.all(eigenvalues[:, 0] >= -APART * np.abs(eigenvalues).max(axis=1)))
 
 
 def velocities(
@@ -126,7 +130,7 @@ def velocities(
     settled = np.zeros(x.shape[1], dtype=bool)
     for _ in range(VELOCITY_ITERATIONS):
         scaled, scales = scaled_masses(_defined(masses))
-        inverse = np.linalg.pinv(scaled, hermitian=True) / scales
+        inverse = np.linalg.pinv(scaled, rcond=APART, hermitian=True) / scales
         step = np.einsum("kij,jk->ik", inverse, momentum - found)
         length = np.max(np.abs(step), axis=0)
         settled |= ~(length > 4 * EPS * np.max(np.abs(v), axis=0))

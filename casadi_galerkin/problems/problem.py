@@ -119,8 +119,8 @@ class Problem(Stated):
             return self
 
         def put(value: Any) -> Any:
-            if isinstance(value, tuple):  # with bounds, or times
-                return tuple(map(put, value))
+            if isinstance(value, tuple) and value and isinstance(value[0], ca.Function):  # with its bounds
+                return put(value[0]), *value[1:]
             return with_parameters(value, self.parameters) if isinstance(value, ca.Function) else value
 
         return with_values(self, **{name: put(value) for name, value in vars(self).items()} | {"parameters": None})

@@ -154,10 +154,10 @@ def function(names: str, rows: str, zeros: bool = False) -> FunctionOrNone:
     """
 
     def reader(name: str, value: Any, problem: Any) -> Any:
-        sizes, count = lengths(names, problem), getattr(problem, rows, {"scalar": 1}.get(rows, 0))
         if left_out(value):
-            return of_zeros(name, sizes, count) if zeros else None
-        return traced(name, value, sizes, getattr(problem, rows, rows), problem)
+            count = getattr(problem, rows, {"scalar": 1}.get(rows, 0))
+            return of_zeros(name, lengths(names, problem), count) if zeros else None
+        return traced(name, value, lengths(names, problem), getattr(problem, rows, rows), problem)
 
     return Statement(reader, None)
 
