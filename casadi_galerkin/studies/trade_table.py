@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 LEAST_ERROR = 64 * EPS  # errors below cannot be told from rounding
-PLATEAU_FACTOR = 30.0  # errors below so many times the floor take no part in the fit of an order
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -176,16 +175,16 @@ class Trade(Table, Pictured):
         )
 
     def order(self, method: Galerkin) -> float | None:
-        """Order of the error in 1/N, fitted to the rows of a method above roundoff; None with fewer than 3.
+        """Order of the error in 1/N, the median from row to row of a method above the floor; None with fewer than 3.
 
         Rows to a tolerance, whose mesh is another, and of shooting, which loses digits, take no part.
         """
         fixed = [row for row in self._solved() if row.method == method and row.tol is None and not row.shooting]
-        rows = [row for row in fixed if row.error > PLATEAU_FACTOR * self.floor]
-        if len({row.intervals for row in rows}) < 3:
+        errors = sorted({row.intervals or 0: row.error for row in fixed if row.error > self.floor}.items())
+        if len(errors) < 3:
             return None
-        logs = np.log([[row.intervals or 0, row.error] for row in rows])
-        return float(-np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
+        steps = np.diff(np.log(errors), axis=0)
+        return float(np.median(-steps[:, 1] / steps[:, 0]))
 
     @property
     def floor(self) -> float:
