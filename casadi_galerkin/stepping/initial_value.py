@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import FEWEST, halved, higher_degree_method, method_for
+from casadi_galerkin.calculus.mesh_adaptation import FEWEST, halved, higher_degree_method, method_for, truncation_error
 from casadi_galerkin.calculus.numbers import told_apart
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
@@ -80,27 +80,27 @@ def to_tolerance(
     if intervals is None and mesh is None:
         intervals = FEWEST + len(problem.breakpoints)
     joints = mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
-    path: Trajectory | None = None
-    error, failure = np.inf, None
+    path, error, reached = None, np.inf, ConvergenceError("no path")
     while len(joints) - 1 <= limits.intervals and time.perf_counter() <= deadline:
         try:
             path = steps(method, joints)
-        except ConvergenceError as caught:
-            failure = caught
-        else:
             error = path.estimate_error()
             if of is not None:
                 path = path.asked_for(of)
                 error = path.asked_error or 0.0
             if error <= tol:
                 return path
+            when = path.t[np.argmax(truncation_error(path.polynomial))]
+            words = f"the last path has an estimated error of {error:.1e}, and is least resolved near t = {when:.6g}"
+            reached = ConvergenceError(words, path)
+        except ConvergenceError as failure:
+            reached = reached if path else failure
         joints = halved(joints)
-    reached = f"the last path has an estimated error of {error:.1e}" if path else failure or "no path"
     raise LimitReached(
         f"tolerance {tol:g} was not reached within {limits.intervals:g} intervals and {limits.seconds:g} seconds: "
         f"{reached}. Raise the limits or tol; where neighboring paths part fast, steps keep few digits",
-        path or getattr(failure, "path", None),
-    ) from failure
+        reached.path,
+    )
 
 
 def check_steps(roll: Roll) -> None:
