@@ -73,19 +73,19 @@ class LocalTerm:
     times: ca.DM
     symmetric: bool
 
-    def evaluated(self, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX) -> list[ca.MX]:
-        """`added` (1 or 2, K), rows (n, K) and nonzeros of the jacobian (nnz, K)."""
-        added, rows, jacobian = self._at_places(self.function, u, joints, parameters, given)
-        return [added, rows, ca.reshape(ca.MX(jacobian.nz[:]), -1, self.entries.shape[1])]
+    def evaluated(self, numbering: Numbering, *at: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+        """`added` (1 or 2, K), rows summed for every unknown, and the part of ∇²S; at u, joints, parameters, given."""
+        added, rows, jacobian = self._at_places(self.function, *at)
+        pattern = (np.array(index, dtype=int) for index in self.function.sparsity_out(2).get_triplet())
+        row, column = (self.entries[index].ravel(order="F") for index in pattern)
+        summation = Summation(numbering.free, row, column, np.arange(len(row)))
+        return added, self._gathered(numbering, rows), summation.matrix(ca.MX(jacobian.nz[:]))
 
-    def sizes(self, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX) -> ca.MX:
-        """Sums of the sizes of all terms that the rows are made of, (n, K)."""
-        return self._at_places(self._sizes, u, joints, parameters, given)[0]
-
-    @cached_property
-    def _sizes(self) -> ca.Function:
+    def sizes(self, numbering: Numbering, *at: ca.MX) -> ca.MX:
+        """Sizes of all terms that the rows are made of, summed for every unknown."""
         symbols = self.function.sx_in()
-        return ca.Function("sizes", symbols, [sizes_of_terms(self.function(*symbols)[1], symbols)])
+        function = ca.Function("sizes", symbols, [sizes_of_terms(self.function(*symbols)[1], symbols)])
+        return self._gathered(numbering, *self._at_places(function, *at))
 
     def _at_places(
         self, function: ca.Function, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX
@@ -96,15 +96,8 @@ class LocalTerm:
         t = ca.reshape(ca.mtimes(ca.MX(self.times), joints), self.function.size1_in(1), count)
         return one_by_one(function, count, (2, 3)).call([y, t, parameters, given])
 
-    def gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
-        """Rows (n, K) summed for every unknown."""
+    def _gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
         return gathered(numbering, self.entries.ravel(order="F"), rows)
-
-    def matrix(self, numbering: Numbering, jacobian: ca.MX) -> ca.MX:
-        """The term's part of ∇²S, from the nonzeros of its jacobian at all places."""
-        pattern = (np.array(index, dtype=int) for index in self.function.sparsity_out(2).get_triplet())
-        rows, columns = (self.entries[index].ravel(order="F") for index in pattern)
-        return Summation(numbering.free, rows, columns, np.arange(len(rows))).matrix(jacobian)
 
 
 class Functional:
@@ -210,16 +203,18 @@ class Functional:
         return self._second[:3] if self._mapping is one_by_one else self._at_points(self.pointwise.first)
 
     @property
-    def _arguments_of_terms(self) -> list[ca.MX]:
+    def _arguments_of_terms(self) -> tuple[Numbering, ca.MX, ca.MX, ca.MX, ca.MX]:
         """What the local terms depend on."""
-        return [self.u, self._embedded.joints, ca.vertcat(*self._at[4:]), ca.vertcat(*self._given)]
+        return self.numbering, self.u, self._embedded.joints, ca.vertcat(*self._at[4:]), ca.vertcat(*self._given)
 
     @cached_property
-    def _terms(self) -> list[list[ca.MX]]:
+    def _terms(self) -> list[tuple[ca.MX, ca.MX, ca.MX]]:
         """The local terms evaluated at all of their places."""
-        if not self.terms:
-            return []
         return [term.evaluated(*self._arguments_of_terms) for term in self.terms]
+
+    def _with_terms(self, total: ca.MX) -> ca.MX:
+        """All equations, from those of the integral."""
+        return self._with_last(sum((rows for _, rows, _ in self._terms), total), lambda: self._everywhere[0])
 
     @cached_property
     def _everywhere(self) -> tuple[ca.MX, ca.MX]:
@@ -250,12 +245,6 @@ class Functional:
         sums = ca.vertcat(*(summed(self.numbering, at_points) for at_points in points))
         return sums + ca.fabs(self._given_everywhere)
 
-    def _with_terms(self, total: ca.MX) -> ca.MX:
-        """All equations, from those of the integral."""
-        for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
-            total += term.gathered(self.numbering, rows)
-        return self._with_last(total, lambda: self._everywhere[0])
-
     def _with_last(self, total: ca.MX, last: Callable[[], ca.MX]) -> ca.MX:
         """Values of all equations, with those of the unknowns that enter at all points in their place."""
         places = self.numbering.everywhere
@@ -282,31 +271,29 @@ class Functional:
     def first_variation(self) -> dict[str, ca.MX]:
         """The action with the end action, momenta at the joints, ∇S by the unknowns ξ, and the sizes of its terms."""
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
-        for term in self.terms:
-            sizes += term.gathered(self.numbering, term.sizes(*self._arguments_of_terms))
-        sizes = self._with_last(sizes, lambda: self._sizes_everywhere)
         action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), self._without_integrals(action))
+        sizes = sum((term.sizes(*self._arguments_of_terms) for term in self.terms), sizes)
+        sizes = self._with_last(sizes, lambda: self._sizes_everywhere)
         return {"action": action, "momentum": momenta, "gradient": self._with_terms(gradient), "terms": sizes}
 
     @cached_property
     def derivatives(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """∇²S, sparse with both halves stored, ∇S with respect to the free values ξ, and ∂²L̂/∂x'², in one pass."""
-        assembled = assembly(*self.pattern_key, self.pointwise.blocks)
-        matrix, gradient = assembled.call(self._second[1:])
+        matrix, gradient = assembly(*self.pattern_key, self.pointwise.blocks).call(self._second[1:])
         matrix = matrix if self._further is None else matrix + self._further
         return matrix, self._with_terms(gradient), self._second[-1]
 
     @cached_property
     def _further(self) -> ca.MX | None:
         """The part of ∇²S of the further terms and of the unknowns that enter at all points; None without any."""
-        added = [term.matrix(self.numbering, at[2]) for term, at in zip(self.terms, self._terms, strict=True)]
+        added = [matrix for _, _, matrix in self._terms]
         first, size = self.numbering.everywhere.start, self.numbering.free
         if first < size:
             columns, by = self._everywhere[1], ca.MX(ca.DM.eye(size)[:, first:])
             row = ca.horzcat(columns[:first, :].T, ca.MX(size - first, size - first))
             if self.terms and self.numbering.integrals:  # the momentum of a given velocity may depend on multipliers
-                rows = [term.gathered(self.numbering, at[1]) for term, at in zip(self.terms, self._terms, strict=True)]
-                columns += ca.jtimes(sum(rows[1:], rows[0]), self.symbols["unknowns"], by)
+                rows = sum((rows for _, rows, _ in self._terms[1:]), self._terms[0][1])
+                columns += ca.jtimes(rows, self.symbols["unknowns"], by)
             added += [ca.horzcat(ca.MX(size, first), columns), ca.vertcat(ca.MX(first, size), row)]
         return sum(added[1:], added[0]) if added else None
 
