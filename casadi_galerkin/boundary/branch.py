@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +13,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import checked_index, counted, finite
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.plotting import Pictured, plot_branches
+from casadi_galerkin.solution.plotting import COLORS, Pictured, axes_or_new, component_names, legend
 from casadi_galerkin.solution.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -160,6 +162,8 @@ class Branch(Pictured):
         labels : names of the parameter and of the height, with units
         parameter : which, from 0 to n - 1
         """
+        from matplotlib.collections import LineCollection
+
         if not (height is None or callable(height)):
             raise TypeError(f"height must be a callable Path -> number, got {height!r}")
         checked_index("parameter", parameter, self.parameters.shape[1])
@@ -169,17 +173,26 @@ class Branch(Pictured):
             value = finite("what height returns", of_path(getattr(at, "path", at)))
             return at.parameters[parameter], value
 
-        drawn = [[(path.morse_index, *place(path)) for path in branch.trajectories] for branch in self.branches]
-        for branch, places in zip(self.branches, drawn, strict=True):
-            if branch.origin is not None:
-                places.insert(0, (places[0][0], *place(branch.origin)))
-        folds, points = (
-            [place(at) for branch in self.branches for at in getattr(branch, name)]
-            for name in ("folds", "branch_points")
-        )
         if labels is None and axes is None:
             labels = f"p[{parameter}]", "root mean square of x" if height is None else "height"
-        return plot_branches(drawn, folds, points, axes, labels)
+        axes = axes_or_new(axes)
+        for branch in self.branches:
+            places = [(path.morse_index, *place(path)) for path in branch.trajectories]
+            if branch.origin is not None:
+                places.insert(0, (places[0][0], *place(branch.origin)))
+            axes.add_collection(LineCollection([[at[1:] for at in places]], colors="0.8", zorder=1))
+            for index, run in groupby(places, key=itemgetter(0)):
+                name = "no Morse index" if index is None else f"Morse index {index}"
+                color = COLORS[(index or 0) % len(COLORS)]
+                axes.plot(*zip(*(at[1:] for at in run), strict=True), ".--" if index else ".-", label=name, color=color)
+        for kind, style, size in (("fold", "k+", 12), ("branch point", "ko", 7)):
+            found = [place(at) for branch in self.branches for at in getattr(branch, f"{kind}s".replace(" ", "_"))]
+            if found:
+                axes.plot(*zip(*found, strict=True), style, label=kind, markersize=size, fillstyle="none")
+        legend(axes)
+        if labels is not None:
+            axes.set(**dict(zip(("xlabel", "ylabel"), component_names("the diagram", 2, labels), strict=True)))
+        return axes
 
     def __repr__(self) -> str:
         """Summarize the branch, and say what other branches there are."""

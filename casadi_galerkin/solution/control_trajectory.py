@@ -17,7 +17,7 @@ from casadi_galerkin.problems.statements import FEASIBLE
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.optimal_path import OptimalPath
 from casadi_galerkin.solution.quantity import Quantity
-from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Answer, Lines, Trajectory
+from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Lines, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
 
 # size over that of the largest component below which a component may be an error of the solver only
@@ -181,7 +181,17 @@ class ControlTrajectory(OptimalPath, Trajectory):
         if self.problem.jumps:
             when = self.problem.jumps[0][0]
             raise ValueError(f"an InitialProblem has no jumps, but the path jumps at t = {when:.6g}")
-        self._refuse_two_values()
+        u = self.control
+        values = u.at(np.array([0.0, 1.0])).reshape(len(u.values), -1, 2)
+        jumps = np.abs(values[:, 1:, 0] - values[:, :-1, 1])
+        relative = jumps / component_sizes(u.values)[:, None]
+        if u.rule[0] == 0 and u.rule[-1] == 1 and np.any(relative > FEASIBLE):
+            k, i = np.unravel_index(np.argmax(relative), jumps.shape)
+            raise ValueError(
+                f"the control u[{k}] jumps by {jumps[k, i]:.3g} at the joint t = {self.t[i + 1]:.6g}, where "
+                f"{self.method} has a point on both sides: no force of time alone has both values. Solve with a rule "
+                "without points at both ends, such as gauss or radau, to replay it"
+            )
         return self._force()
 
     def _force(self) -> ca.Function:
@@ -189,22 +199,6 @@ class ControlTrajectory(OptimalPath, Trajectory):
         t, x, v, *p = symbols = self.problem.lagrangian.sx_in()
         force = self.problem.force(t, x, v, self.control.expression(t), *p)
         return ca.Function("force", symbols, [ca.densify(force)], ["t", "x", "v", "p"][: len(symbols)], ["value"])
-
-    def _refuse_two_values(self) -> None:
-        """Raise a ValueError where the two controls at a joint differ."""
-        ends, u = np.array([0.0, 1.0]), self.control
-        if not np.array_equal(u.rule[[0, -1]], ends):
-            return
-        values = u.at(ends).reshape(len(u.values), -1, 2)
-        jumps = np.abs(values[:, 1:, 0] - values[:, :-1, 1])
-        largest = component_sizes(u.values)[:, None]
-        if np.any(jumps > FEASIBLE * largest):
-            k, i = np.unravel_index(np.argmax(jumps / largest), jumps.shape)
-            raise ValueError(
-                f"the control u[{k}] jumps by {jumps[k, i]:.3g} at the joint t = {self.t[i + 1]:.6g}, where "
-                f"{self.method} has a point on both sides: no force of time alone has both values. Solve with a rule "
-                "without points at both ends, such as gauss or radau, to replay it"
-            )
 
     @cached_property
     def between_points(self) -> BetweenPoints:
@@ -285,10 +279,6 @@ class ControlTrajectory(OptimalPath, Trajectory):
         if not self._not_optimal:
             return super()._kind()
         return "not yet optimal" if self.cost_error is None else "optimal but for the error below"
-
-    def _errors(self) -> str:
-        """The known errors, of the cost only where there is one."""
-        return super()._errors() if self.problem.costs else Answer._errors(self)
 
     def _doubts(self) -> Lines:
         """What the solver leaves of cost or path, what the mesh does not show between its points, and what varies."""

@@ -219,9 +219,9 @@ class OptimalPath(Answer):
         return f"Degree {self.method.degree} on {counted(len(self.t) - 1, 'interval')}: cost {self.cost:.6g}"
 
     def _errors(self) -> str:
-        """The known errors of cost and path."""
+        """The known errors of cost and path; none of a cost that is zero."""
         known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
-        return ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
+        return ", ".join(f"{error:.1e} {whose}" for error, whose in known if error)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

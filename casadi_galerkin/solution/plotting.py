@@ -6,8 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from html import escape
 from io import StringIO
-from itertools import groupby
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -144,68 +142,3 @@ def component_names(name: str, count: int, labels: Sequence[str] | None) -> Sequ
     if given.shape != (count,) or not all(isinstance(label, str) for label in given):
         raise ValueError(f"labels of {name} must be {counted(count, 'name')}, one per component, got {labels!r}")
     return given.tolist()
-
-
-def plot_branches(
-    branches: Sequence[Sequence[tuple[int | None, float, float]]],
-    folds: Points,
-    branch_points: Points,
-    axes: Axes | None,
-    labels: Sequence[str] | None,
-) -> Axes:
-    """Draw branches of points, each with its Morse index, value and height: one color an index, dashed if not zero.
-
-    Folds are drawn as crosses, branch points as circles.
-    """
-    from matplotlib.collections import LineCollection
-
-    axes = axes_or_new(axes)
-
-    def draw(points: Points, style: str, label: str, **options: Any) -> None:
-        axes.plot(*zip(*points, strict=True), style, label=label, **options)
-
-    axes.add_collection(
-        LineCollection([[place[1:] for place in branch] for branch in branches], colors="0.8", zorder=1)
-    )
-    for branch in branches:
-        for index, run in groupby(branch, key=itemgetter(0)):
-            label = "no Morse index" if index is None else f"Morse index {index}"
-            color = COLORS[(index or 0) % len(COLORS)]
-            draw([place[1:] for place in run], ".--" if index else ".-", label, color=color)
-    if folds:
-        draw(folds, "k+", "fold", markersize=12)
-    if branch_points:
-        draw(branch_points, "ko", "branch point", markersize=7, fillstyle="none")
-    legend(axes)
-    if labels is not None:
-        axes.set(**dict(zip(("xlabel", "ylabel"), component_names("the diagram", 2, labels), strict=True)))
-    return axes
-
-
-def plot_work_precision(
-    lines: Sequence[tuple[Sequence[str], Points]], front: Points, floor: float, label: str, axes: Axes | None
-) -> Axes:
-    """Draw errors over seconds on logarithmic axes, and the floor below which errors mean nothing.
-
-    Each of the lines has names of its color and its dots; no other point betters one of the front.
-    """
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    axes = axes_or_new(axes)
-
-    def draw(points: Points, **looks: Any) -> None:
-        """An error of zero has no place on a logarithmic axis."""
-        axes.loglog([1e3 * t for t, _ in points], [max(e, floor / 3) for _, e in points], **looks)
-
-    draw(front, label="the front", color="0.85", linewidth=7, zorder=0)
-    axes.axhspan(floor / 10, floor, color="0.93", zorder=-1, label="rounding, or the reference's error")
-    colors, dots = (list(dict.fromkeys(names[k] for names, _ in lines)) for k in (0, 1))
-    for names, points in lines:
-        color, marker = COLORS[colors.index(names[0]) % len(COLORS)], "os^DvP*"[dots.index(names[1]) % 7]
-        draw(points, label=", ".join(filter(None, names)), color=color, marker=marker, markersize=4, linewidth=1)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set(xlabel="milliseconds of a repeated solve", ylabel=label)
-    legend_below(axes, ncols=3)
-    return axes

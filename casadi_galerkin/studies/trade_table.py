@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import check_kind, map_times
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
+from casadi_galerkin.solution.plotting import COLORS, Pictured, axes_or_new, legend_below
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver
@@ -200,15 +201,29 @@ class Trade(Table, Pictured):
         A line joins the rows of one method and way: its color is the degree, its dots say how it is solved.  The broad
         line is the front.  Returns Matplotlib's axes.
         """
-        lines: dict[tuple[Galerkin | None, str, str], list[tuple[float, float]]] = {}
+        axes = axes_or_new(axes)
+
+        def draw(rows: Sequence[Row], **looks: Any) -> None:
+            """An error of zero has no place on a logarithmic axis."""
+            errors = [max(row.error, self.floor / 3) for row in rows]
+            axes.loglog([1e3 * row.solve_seconds for row in rows], errors, **looks)
+
+        draw(self.front(), label="the front", color="0.85", linewidth=7, zorder=0)
+        axes.axhspan(self.floor / 10, self.floor, color="0.93", zorder=-1, label="rounding, or the reference's error")
+        lines: dict[tuple[Galerkin | None, str, str], list[Row]] = {}
         for row in self._solved():
             kind = "to a tolerance" if row.adaptive else "on its mesh"  # each tolerance finds a degree of its own
             method = row.method if row.tol is None else None
             color = kind if method is None else f"degree {method.degree}"
-            lines.setdefault((method, color, replace(row, tol=None).way), []).append((row.solve_seconds, row.error))
-        named = [(names, points) for (_, *names), points in lines.items()]
-        front = [(row.solve_seconds, row.error) for row in self.front()]
-        return plot_work_precision(named, front, self.floor, f"relative error of {self.quantity or 'the path'}", axes)
+            lines.setdefault((method, color, replace(row, tol=None).way), []).append(row)
+        colors, dots = (list(dict.fromkeys(names[k] for names in lines)) for k in (1, 2))
+        for (_, color, way), rows in lines.items():
+            looks = {"color": COLORS[colors.index(color) % len(COLORS)], "marker": "os^DvP*"[dots.index(way) % 7]}
+            draw(rows, label=f"{color}, {way}", markersize=4, linewidth=1, **looks)
+        label = f"relative error of {self.quantity or 'the path'}"
+        axes.set(xlabel="milliseconds of a repeated solve", ylabel=label)
+        legend_below(axes, ncols=3)
+        return axes
 
     def table(self) -> dict[str, np.ndarray]:
         """All rows by the names of their fields, way and method in words; what a row has not is NaN, 0 or empty."""

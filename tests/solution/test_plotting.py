@@ -1,5 +1,7 @@
 """Pictures show what they should, return Matplotlib's objects, need no screen, and refuse what does not fit."""
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from control_problems import plane
 from slow import slow
 
 import casadi_galerkin as cg
-from casadi_galerkin.solution.plotting import COLORS, plot_branches
+from casadi_galerkin.solution.plotting import COLORS
 
 pytestmark = pytest.mark.usefixtures("headless")
 
@@ -198,7 +200,8 @@ def test_a_branch_is_drawn_by_morse_index_with_its_folds():
 
 
 def test_no_part_of_a_branch_is_left_out_for_want_of_a_color():
-    axes = plot_branches([[(i, i, 1.0) for i in range(9)]], [], [], None, None)
+    paths = tuple(SimpleNamespace(morse_index=i, parameters=(float(i),)) for i in range(9))
+    axes = cg.Branch(paths, (), (), "the target").plot(lambda path: 1.0)
     assert [line.get_label() for line in axes.get_lines()] == [f"Morse index {i}" for i in range(9)]
 
 
