@@ -247,6 +247,11 @@ class Chain:
         everything = np.vstack((local.reshape(-1, self.dimension), values["x"][-1])).T
         return PiecewisePolynomial(mesh, self.method.element.nodes, everything)
 
+    @cached_property
+    def _tests(self) -> np.ndarray:
+        """Values at the nodes of the polynomials by which rates are tested."""
+        return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes)
+
     def costate(
         self, multipliers: np.ndarray, bounds: np.ndarray, mesh: np.ndarray, start: np.ndarray
     ) -> PiecewisePolynomial:
@@ -266,8 +271,7 @@ class Chain:
         m, others = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
         motion = np.vstack((motion, -multipliers[self.rows["momentum"][-1]]))
-        tests = lagrange_values(np.array(gauss(m).points), self.method.element.nodes)
-        between = -tests @ multipliers[self.rows["rates"]]
+        between = -self._tests @ multipliers[self.rows["rates"]]
         rates, ends = between[:, :-1], between[:, -1]
         if not self.velocities_of_rates:
             ends = -multipliers[self.rows["x"]][:, others]
@@ -365,6 +369,8 @@ class ProgramBounds:
 
     def narrowed(self, relaxed: float) -> ProgramBounds:
         """Bounds that become these after a solver relaxes every bound b by this part of max(1, |b|)."""
+        if not relaxed:
+            return self
         narrow = list[np.ndarray]()
         for sides in (self.unknowns, self.equations):
             low, high = sides

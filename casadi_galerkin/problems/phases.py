@@ -6,7 +6,7 @@ A control problem with jumps, or with breakpoints whose times are free, is parte
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple, TypeAlias
@@ -276,14 +276,23 @@ def parted(problem: ControlProblem | Phases) -> Phases:
         return problem
     free, events = problem.duration_bounds is not None, {*dict(problem.jumps), *problem.conditions_on_the_way}
     times = [t for t in problem.breakpoints if free or t in events]
-    d, stated, phases = problem.dimension, problem.end_conditions[0], list[ControlProblem]()
+    made, laws = object.__new__(Phases), dict(problem.jumps)
+    phases = _sections(problem, times) if times else (problem,)
+    links = tuple(laws.get(t) for t in times)
+    vars(made).update(phases=tuple(phases), links=links, conditions=None, cost=None, whole=problem)
+    return made
+
+
+def _sections(problem: ControlProblem, times: Sequence[float]) -> Iterator[ControlProblem]:
+    """The phases of a problem that is parted at some times: with what it states within each, and free ends there."""
+    d, stated = problem.dimension, problem.end_conditions[0]
     at_start, at_end = ("start", "start_velocity"), ("end", "end_velocity")
     inner: dict[str, Any] = dict.fromkeys((*at_start, *at_end), (None,) * d)
     inner |= dict.fromkeys(("terminal_cost", "initial_cost", "initial_time_bounds"))
     nothing = of_zeros("end_conditions", {stated.name_in(i): stated.size1_in(i) for i in range(stated.n_in())}, 0)
     inner |= {"start_bounds": bounds("start_bounds", None, d), "jumps": (), "limits_of_ends": [[], []]}
     inner["end_conditions"] = nothing, (), ()
-    for k, (begin, end) in enumerate(pairwise([problem.t_span[0], *times, problem.t_span[1]]) if times else ()):
+    for k, (begin, end) in enumerate(pairwise([problem.t_span[0], *times, problem.t_span[1]])):
         kept: tuple[str, ...] = (*at_start, "initial_cost", "initial_time_bounds", "start_bounds") if k == 0 else ()
         kept = (*at_end, "terminal_cost") if k == len(times) else kept
         of_phase = inner | {name: getattr(problem, name) for name in kept}
@@ -291,11 +300,7 @@ def parted(problem: ControlProblem | Phases) -> Phases:
         places = (place for place in problem.waypoints if not is_limited(place[1]))
         of_phase["waypoints"] = tuple(place for place in places if begin < place[0] <= end)
         of_phase["duration_bounds"] = problem.duration_bounds and tuple((side[k],) for side in problem.duration_bounds)
-        phases.append(with_values(problem, t_span=(begin, end), **of_phase))
-    made, laws = object.__new__(Phases), dict(problem.jumps)
-    links = tuple(laws.get(t) for t in times)
-    vars(made).update(phases=tuple(phases or [problem]), links=links, conditions=None, cost=None, whole=problem)
-    return made
+        yield with_values(problem, t_span=(begin, end), **of_phase)
 
 
 def _checked(problem: Phases) -> Joins:
