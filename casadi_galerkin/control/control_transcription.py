@@ -28,7 +28,7 @@ from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.control_answer import answer
 from casadi_galerkin.control.control_graph import ControlGraph, equation_scales, meshes_of, violations
 from casadi_galerkin.control.control_numbering import Numbering, ProgramBounds, bounds_of
-from casadi_galerkin.control.failed_optimization import INVALID, explained, refuse_not_finite
+from casadi_galerkin.control.failed_optimization import explained, refuse_not_finite
 from casadi_galerkin.control.initial_guess import starting_point
 from casadi_galerkin.control.optimizer import (
     BOUND_RELAXATION,
@@ -243,9 +243,10 @@ class ControlTranscription:
             relative = violations(numbers, optimum.bounds, optimum.unknowns, report.equations, scales)
             violation = float(np.max(relative))
             if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
+                refuse_not_finite(phases, self.graph, unknowns, data)
                 raise explained(phases, name, numbers, optimum, report.cost, relative, paths)
             return answer(
-                SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, self.graph),
+                SecondOrder(problem, self.method, calculus.mesh, optimum, report.cost, report.sizes, self.graph),
                 report,
                 values,
                 paths,
@@ -265,8 +266,6 @@ class ControlTranscription:
             with suppress(ConvergenceError):  # as where it violates a bound, and another root does not
                 return verified(root, "Newton")
         optimum = optimum_from(unknowns, *start.duals)
-        if optimum.status == INVALID:
-            refuse_not_finite(phases, self.graph, unknowns, data)
         path = verified(optimum)
         if start.known or not (optimum.doubtful and path.morse_index):
             return path

@@ -70,33 +70,40 @@ def starting_point(
         calculi = [DiscreteCalculus(calculus.method, mesh) for mesh in meshes_of(phases, calculus.mesh)]
     each = list(zip(phases, numbers.chains, calculi, strict=True))
     warm = _kept_values(guess, numbers, each)
+    if warm:
+        at, before = guess.variations.optimum, numbers.units(warm)
+        sizes = _in_units_of(guess.variations.sizes, numbers, warm)
+        return StartingPoint(warm, (at.bound_multipliers, at.multipliers * numbers.units(warm) / before), sizes, True)
 
     def values_at(some: Any, factor: float) -> list[dict[str, np.ndarray]]:
         guesses = guesses_of_phases(problem, numbers.chains[0], calculus, calculi, some)
         return [first_values(*one, at, factor) for one, at in zip(each, guesses, strict=True)]
 
-    values = warm or values_at(guess, longer)
+    values = values_at(guess, longer)
     report = graph.report(*numbers.pack(values))
     if not np.isfinite(report.cost + np.sum(report.actions) + np.sum(report.equations)):
         refuse_not_finite(phases, graph, *numbers.pack(values))
     largest = report.sizes
-    if guess is not None and not warm:  # no earlier answer: it may be noisy
+    if guess is not None:  # it may be noisy
         line = graph.report(*numbers.pack(values_at(None, 1.0))).sizes
         for chain in numbers.chains:
             line[chain.motions] = _significant(line[chain.motions], LEAST_TERMS)
         limited = (line > TOLERANCE) & np.isfinite(line)
         largest = np.where(limited, np.fmin(LARGEST_TERMS_RATIO * line, largest), largest)
-    scaled, duals = largest.copy(), tuple[np.ndarray, ...]()
     for chain, found in zip(numbers.chains, values, strict=True):
-        momentum = found["momentum"] if warm else -report.equations[chain.departures]
-        found["sizes"] = or_one(_significant(largest[chain.motions], TOLERANCE))
-        scaled[chain.motions] = largest[chain.motions] / found["sizes"]
-        found["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / found["sizes"]
-    if warm:
-        at = guess.variations.optimum
-        units = numbers.units(values) / numbers.units(numbers.unpack(at.unknowns, at.data))
-        duals = at.bound_multipliers, at.multipliers * units
-    return StartingPoint(values, duals, scaled, isinstance(guess, OptimalPath))
+        momentum = -report.equations[chain.departures]
+        found["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0)
+    return StartingPoint(values, (), _in_units_of(largest, numbers, values), isinstance(guess, OptimalPath))
+
+
+def _in_units_of(sizes: np.ndarray, numbers: Numbering, values: list[dict[str, np.ndarray]]) -> np.ndarray:
+    """Sizes of the terms of equations, with those of motion in units of themselves, as momenta then are."""
+    scaled = sizes.copy()
+    for chain, found in zip(numbers.chains, values, strict=True):
+        units = or_one(_significant(sizes[chain.motions], TOLERANCE))
+        scaled[chain.motions] /= units
+        found["momentum"], found["sizes"] = found["momentum"] / units, found["sizes"] * units
+    return scaled
 
 
 def _significant(sizes: np.ndarray, part: float) -> np.ndarray:
@@ -127,8 +134,7 @@ def _kept_values(
         now = _given_values(problem, calculus.mesh)
         if np.max(np.abs(found["left"] - now["left"])) > SAME_FRACTION:
             return []
-        found["momentum"] *= found["sizes"]
-        found |= {name: value for name, value in now.items() if name not in chain.free}
+        found |= {name: value for name, value in now.items() if name not in (*chain.free, "sizes")}
         found |= _at_nodes(chain, _path(problem, calculus, chain.path(found, calculus.mesh).values))
     return values
 

@@ -52,6 +52,7 @@ class SecondOrder:
     problem, method, mesh : as they were solved
     optimum : the point where the solver stopped
     cost : cost of the optimum
+    sizes : sizes of the terms of every kind of equation there
     graph : ControlGraph, or None before it is built again
     """
 
@@ -60,6 +61,7 @@ class SecondOrder:
     mesh: np.ndarray
     optimum: Optimum
     cost: float
+    sizes: np.ndarray
     graph: ControlGraph | None
 
     @property

@@ -272,3 +272,17 @@ def test_a_single_component_that_comes_back_but_for_rounding_is_measured_along_i
     )
     assert path.cost == pytest.approx(there.cost, rel=SOLVED)
     assert path.solver == "IPOPT (Solve Succeeded)"
+
+
+@pytest.mark.parametrize("solver", [cg.ipopt, cg.sqp, cg.fatrop], ids=str)
+def test_what_is_not_finite_in_a_warm_start_is_named(solver):
+    problem = double_integrator(
+        lagrangian=lambda t, x, v, p: v[0] ** 2 / 2,
+        force=lambda t, x, v, u, p: u,
+        running_cost=lambda t, x, v, u, p: ca.sqrt(p[0]) * u[0] ** 2,
+        parameters=[1.0],
+    )
+    program = cg.transcribe(problem, cg.Galerkin(3), 4)
+    known = program.solve()
+    with pytest.raises(ValueError, match="running_cost is not finite at the guess"):
+        program.solve(parameters=[-1.0], guess=known, solver=solver)
