@@ -17,9 +17,9 @@ from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import check_verbose, counted, whole
-from casadi_galerkin.control.control_refinement import ControlRefinement, first_control_discretization
+from casadi_galerkin.control.control_refinement import RepeatedOptimization
 from casadi_galerkin.control.control_sensitivity import ControlSensitivity, control_function
-from casadi_galerkin.control.control_transcription import ControlTranscription, check_solver, transcribed_control
+from casadi_galerkin.control.control_transcription import ControlTranscription, transcribed_control
 from casadi_galerkin.control.starts import best_of
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.pointwise import PointMap, by_rows, one_by_one
@@ -220,31 +220,10 @@ def _refinement(
     starts: int = 1,
 ) -> Callable[..., Any]:
     """Refuse what does not fit; a function (problem, guess, first path, solver, verbose) -> path to the tolerance."""
-    limits = limits or Limits()
+    given = problem, tol, method, intervals, mesh, limits or Limits(), of
     if isinstance(problem, BoundaryProblem):
-        return RepeatedRefinement(problem, tol, method, intervals, mesh, limits, of, mapping).found
-    first_control_discretization(problem, tol, method, intervals, mesh, None, limits, of)
-    return partial(_optimized, method, intervals, mesh, tol, of, limits, starts)
-
-
-def _optimized(
-    method: Galerkin | None,
-    intervals: Any,
-    mesh: ArrayLike | None,
-    tol: float,
-    of: Quantity | None,
-    limits: Limits,
-    starts: int,
-    problem: ControlProblem | Phases,
-    guess: Guess | None,
-    first: ControlTrajectory | None,
-    solver: Solver | None,
-    verbose: int,
-) -> Any:
-    """Refine an optimum from a guess or, without one, from the first path that was found."""
-    solver, begun = check_solver(ipopt if solver is None else solver), first if guess is None else guess
-    method, joints = first_control_discretization(problem, tol, method, intervals, mesh, begun, limits, of)
-    return ControlRefinement(problem, tol, method, limits, solver, verbose, of).run(joints, begun, starts)
+        return RepeatedRefinement(*given, mapping).found
+    return RepeatedOptimization(*given, starts).found
 
 
 def _given(method: Galerkin | None) -> Galerkin:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -24,7 +24,7 @@ from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import halved
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.control_transcription import SHORTEST_STEP, transcribed_control
+from casadi_galerkin.control.control_transcription import SHORTEST_STEP, check_solver, transcribed_control
 from casadi_galerkin.control.optimizer import ACCEPTABLE
 from casadi_galerkin.control.starts import distinct_optima, optima_of
 from casadi_galerkin.control.two_comparisons import (
@@ -281,35 +281,50 @@ class ControlRefinement(Refinement[Any, Any]):
         return self.answer(path, error)
 
 
-def first_control_discretization(
-    problem: ControlProblem | Phases,
-    tol: float,
-    method: Galerkin | None,
-    intervals: int | None,
-    mesh: ArrayLike | None,
-    guess: Guess | None,
-    limits: Limits,
-    of: Quantity | None,
-) -> tuple[Galerkin, np.ndarray]:
-    """Method and joints with which a refinement begins; refuses what does not fit, see `solve` for the arguments.
+@dataclass(frozen=True)
+class RepeatedOptimization:
+    """Optimizations of one problem and of others that are `varied` from it, to a tolerance; see `solve` for the fields.
 
-    Without intervals and mesh the joints are those of a guess whose error is known, if they are more.
+    What does not fit is refused when it is made.
     """
-    if method is None:  # the cost is known to the square of what the path is
-        method = control_method_for(tol if of is None else np.sqrt(tol))
-    if problem.hold:
-        raise ValueError(
-            "with hold every interval has one value of the controls, so the mesh is part of the problem and "
-            "not to be refined: give a method and intervals in place of a tolerance"
-        )
-    if intervals is None and mesh is None:
-        intervals = FIRST_INTERVALS + len(problem.breakpoints)
-        if (
-            isinstance(guess, ControlTrajectory)
-            and (guess.error_estimate, guess.cost_error) != (None, None)
-            and intervals < len(guess.t) - 1 <= limits.intervals
-        ):
-            own, other = (section_times(without_idle_breakpoints(stated)) for stated in (guess.problem, problem))
-            if len(own) == len(other):
-                return method, map_times(guess.t, own, other)
-    return method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
+
+    problem: ControlProblem | Phases
+    tol: float
+    method: Galerkin | None
+    intervals: Any
+    mesh: ArrayLike | None
+    limits: Limits
+    of: Quantity | None = None
+    starts: int = 1
+
+    def __post_init__(self) -> None:
+        if self.problem.hold:
+            raise ValueError(
+                "with hold every interval has one value of the controls, so the mesh is part of the problem and "
+                "not to be refined: give a method and intervals in place of a tolerance"
+            )
+        self.first_mesh(self.problem, None)
+
+    def first_mesh(self, problem: ControlProblem | Phases, guess: Guess | None) -> np.ndarray:
+        """Joints with which a refinement begins: given ones, or those of a guess whose error is known, if more."""
+        intervals = self.intervals
+        if intervals is None and self.mesh is None:
+            intervals = FIRST_INTERVALS + len(problem.breakpoints)
+            if (
+                isinstance(guess, ControlTrajectory)
+                and (guess.error_estimate, guess.cost_error) != (None, None)
+                and intervals < len(guess.t) - 1 <= self.limits.intervals
+            ):
+                own, other = (section_times(without_idle_breakpoints(stated)) for stated in (guess.problem, problem))
+                if len(own) == len(other):
+                    return map_times(guess.t, own, other)
+        return mesh_of(problem.t_span, intervals, self.mesh, problem.breakpoints)
+
+    def found(self, problem: Any, guess: Any, kept: Any, solver: Solver | None = None, verbose: int = 0) -> Any:
+        """The optimum of a problem from a guess or, without one, from an answer that is kept."""
+        begun = kept if guess is None else guess
+        known_first = self.tol if self.of is None else np.sqrt(self.tol)  # the cost to the square of what the path is
+        method = self.method or control_method_for(known_first)
+        solver = check_solver(ipopt if solver is None else solver)
+        refinement = ControlRefinement(problem, self.tol, method, self.limits, solver, verbose, self.of)
+        return refinement.run(self.first_mesh(problem, begun), begun, self.starts)
