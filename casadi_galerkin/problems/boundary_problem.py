@@ -203,7 +203,7 @@ class BoundaryProblem(Problem):
     end: statements.Components = Statement(_end, None)
     _: KW_ONLY
     parameters: statements.NumbersOrNone = Statement(statements.read_parameters, None)
-    periodic: statements.Switch = Statement(statements.read_switch, False)
+    periodic: Statement[bool, bool] = Statement(statements.read_switch, False)
     force: statements.FunctionOrNone = statements.function("t x v", "dimension")
     constraint: statements.FunctionOrNone = statements.function("t x", "any")
     start_velocity: statements.Components = Statement(statements.vector, None)
@@ -213,7 +213,7 @@ class BoundaryProblem(Problem):
     end_action: statements.FunctionOrNone = statements.function("x0 x1", "scalar")
     end_conditions: statements.FunctionOrNone = statements.function("x0 x1", "any")
     integral_conditions: statements.Integrals = Statement(optional(statements.integrals), None)
-    energy: statements.Number = Statement(optional(plain(finite)), None)
+    energy: Statement[float | None, float | None] = Statement(optional(plain(finite)), None)
     breakpoints: statements.Times = Statement(statements.times, ())
     rules, rules_of_values, rules_of_masses = RULES, (constraint_at_ends,), (singular_mass, _coupled_velocities)
 

@@ -15,7 +15,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -167,17 +166,17 @@ def _impulses(problem: Any) -> Iterator[str]:
 def _given_outside(problem: Any) -> Iterator[str]:
     """A given value, or a guess of a free one, lies outside its bounds by more than rounding."""
     times = section_times(problem)
-    lasting = [end - begin for begin, end in pairwise(times)]
     stated = [(name, getattr(problem, name), "position_bounds") for name in ENDS]
     stated += [(name, getattr(problem, name), "velocity_bounds") for name in END_MOTIONS[:2]]
     stated += [("start", problem.start, "start_bounds"), ("parameters", problem.parameters, "parameter_bounds")]
-    stated += [("t_span", times[:1], "initial_time_bounds"), ("the duration", lasting, "duration_bounds")]
+    stated += [("t_span", times[:1], "initial_time_bounds"), ("the duration", np.diff(times), "duration_bounds")]
     for name, values, kind in stated:
-        size = max(map(abs, times)) if name == "the duration" else 0.0
-        for i, (value, low, high) in enumerate(zip(values or (), *(getattr(problem, kind) or ((), ())), strict=False)):
+        phase, size = ("", 0.0) if name != "the duration" else (" of the phase from {} to {}", np.abs(times).max())
+        sides = getattr(problem, kind)
+        for i, (value, low, high) in enumerate(zip(values, *sides, strict=True) if sides is not None else ()):
             if value is not None and not keeps_to(value, low, high, size):
-                place = f"[{i}]" if name != "the duration" else f" of the phase from {times[i]} to {times[i + 1]}"
-                place = "" if len(lasting) == 1 and name == "the duration" else place
+                place = phase.format(*times[i : i + 2]) if phase else f"[{i}]"
+                place = "" if phase and len(times) == 2 else place
                 yield f"{name}{place} = {value} lies outside its {kind} [{low}, {high}]"
     (low, high), (least, most) = np.array(problem.start_bounds), np.array(problem.position_bounds)
     for i in np.flatnonzero((low > most) | (high < least)).tolist():
@@ -321,7 +320,7 @@ class ControlProblem(Problem):
     end_velocity: statements.Components = Statement(statements.vector, None)
     force: statements.Lagrangian = statements.function("t x v u", "mechanical", zeros=True)
     running_cost: statements.Lagrangian = statements.function("t x v u", "scalar", zeros=True)
-    controls: statements.Count = Statement(plain(partial(whole_number, least=0)), 0)
+    controls: Statement[int, int] = Statement(plain(partial(whole_number, least=0)), 0)
     terminal_cost: statements.FunctionOrNone = statements.function("t x v", "scalar")
     control_bounds: statements.Within = statements.within("controls")
     position_bounds: statements.Within = statements.within("dimension")
@@ -336,14 +335,14 @@ class ControlProblem(Problem):
     breakpoints: statements.Times = Statement(_breakpoints, ())
     waypoints: statements.Waypoints = Statement(statements.read_waypoints, ())
     jumps: statements.Jumps = Statement(statements.read_jumps, ())
-    hold: statements.Switch = Statement(statements.read_switch, False)
+    hold: Statement[bool, bool] = Statement(statements.read_switch, False)
     constraint: statements.FunctionOrNone = statements.function("t x", "any")
     velocity_bounds: statements.Within = statements.within("dimension")
     control_rate_bounds: statements.Within = statements.within("controls")
     initial_cost: statements.FunctionOrNone = statements.function("t x v", "scalar")
     start_bounds: statements.Within = statements.within("dimension")
     initial_time_bounds: statements.WithinOrNone = statements.sides(lambda _: 1)
-    components: statements.CountOrNone = Statement(optional(plain(whole_number)), None)
+    components: Statement[int | None, int | None] = Statement(optional(plain(whole_number)), None)
     rules, rules_of_values, rules_of_masses = RULES, RULES_OF_VALUES, (singular_mass,)
 
     @property

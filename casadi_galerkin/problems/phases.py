@@ -18,7 +18,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems import statements
-from casadi_galerkin.problems.callables import Rows, Traceable, entries_of, of_zeros, trace, values_given
+from casadi_galerkin.problems.callables import Rows, Traceable, entries_of, trace, values_given
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import ENDS, Stated, with_values
 from casadi_galerkin.problems.statements import (
@@ -26,12 +26,13 @@ from casadi_galerkin.problems.statements import (
     Limit,
     Limited,
     Statement,
-    bounds,
     is_limited,
     optional,
     read_limited,
 )
 
+OF_START = "start_velocity", "initial_cost", "initial_time_bounds", "start_bounds", "start"
+OF_END = "end", "end_velocity", "terminal_cost"
 Link: TypeAlias = Traceable | tuple[Traceable, Limit, Limit] | None
 
 
@@ -227,9 +228,9 @@ class Phases(Stated):
             g, *sides = self.conditions
             joins.append(Join("condition {} on the phases", len(self.links), g(*symbols), sides))
         joins = [join for join in joins if join.rows.numel()]
+        rows = ca.densify(ca.vertcat(ca.SX(0, 1), *(join.rows for join in joins)))
         every = [join.sides or ((0.0,) * join.rows.numel(),) * 2 for join in joins]
         low, high = (tuple(side for pair in every for side in pair[k]) for k in (0, 1))
-        rows = ca.densify(ca.vertcat(ca.SX(0, 1), *(join.rows for join in joins)))
         conditions = ca.Function("joins", symbols, [rows], [*_sizes(self.phases)], ["value"]), low, high
         return Joins(tuple(join._replace(rows=join.rows.numel(), sides=None) for join in joins), conditions, self.cost)
 
@@ -276,28 +277,22 @@ def parted(problem: ControlProblem | Phases) -> Phases:
         return problem
     free, events = problem.duration_bounds is not None, {*dict(problem.jumps), *problem.conditions_on_the_way}
     times = [t for t in problem.breakpoints if free or t in events]
-    made, laws = object.__new__(Phases), dict(problem.jumps)
-    phases = _sections(problem, times) if times else (problem,)
-    links = tuple(laws.get(t) for t in times)
-    vars(made).update(phases=tuple(phases), links=links, conditions=None, cost=None, whole=problem)
+    made, links = object.__new__(Phases), tuple(map(dict(problem.jumps).get, times))
+    phases = tuple(_sections(problem, times)) if times else (problem,)
+    vars(made).update(phases=phases, links=links, conditions=None, cost=None, whole=problem)
     return made
 
 
 def _sections(problem: ControlProblem, times: Sequence[float]) -> Iterator[ControlProblem]:
     """The phases of a problem that is parted at some times: with what it states within each, and free ends there."""
-    d, stated = problem.dimension, problem.end_conditions[0]
-    at_start, at_end = ("start", "start_velocity"), ("end", "end_velocity")
-    inner: dict[str, Any] = dict.fromkeys((*at_start, *at_end), (None,) * d)
-    inner |= dict.fromkeys(("terminal_cost", "initial_cost", "initial_time_bounds"))
-    nothing = of_zeros("end_conditions", {stated.name_in(i): stated.size1_in(i) for i in range(stated.n_in())}, 0)
-    inner |= {"start_bounds": bounds("start_bounds", None, d), "jumps": (), "limits_of_ends": [[], []]}
-    inner["end_conditions"] = nothing, (), ()
+    left_out = *OF_START[:-1], *OF_END, "end_conditions"
+    inner = {name: vars(ControlProblem)[name].read(name, None, problem) for name in left_out}
+    inner |= {"start": (None,) * problem.dimension, "jumps": (), "limits_of_ends": [[], []]}
+    places = [place for place in problem.waypoints if not is_limited(place[1])]
     for k, (begin, end) in enumerate(pairwise([problem.t_span[0], *times, problem.t_span[1]])):
-        kept: tuple[str, ...] = (*at_start, "initial_cost", "initial_time_bounds", "start_bounds") if k == 0 else ()
-        kept = (*at_end, "terminal_cost") if k == len(times) else kept
+        kept = OF_START * (k == 0) + OF_END * (k == len(times))
         of_phase = inner | {name: getattr(problem, name) for name in kept}
         of_phase["breakpoints"] = tuple(t for t in problem.breakpoints if begin < t < end)
-        places = (place for place in problem.waypoints if not is_limited(place[1]))
         of_phase["waypoints"] = tuple(place for place in places if begin < place[0] <= end)
         of_phase["duration_bounds"] = problem.duration_bounds and tuple((side[k],) for side in problem.duration_bounds)
         yield with_values(problem, t_span=(begin, end), **of_phase)

@@ -76,10 +76,6 @@ class Statement(Generic[Given, Kept]):
         def __set__(self, problem: Any, value: Given) -> None: ...
 
 
-Number: TypeAlias = Statement[float | None, float | None]
-Count: TypeAlias = Statement[int, int]
-CountOrNone: TypeAlias = Statement[int | None, int | None]
-Switch: TypeAlias = Statement[bool, bool]
 Components: TypeAlias = Statement[OneOrMore | None, tuple[float | None, ...]]
 Numbers: TypeAlias = Statement[OneOrMore, tuple[float, ...]]
 NumbersOrNone: TypeAlias = Statement[OneOrMore | None, tuple[float, ...] | None]
