@@ -40,12 +40,14 @@ def answer(
     solve : attributes of the path that report on the solve
     """
     problem, optimum, numbers = variations.problem, variations.optimum, variations.known_graph.numbering
-    phases, multipliers = parted(problem).phases, optimum.multipliers / numbers.units(found_values)
+    parts, multipliers = parted(problem), optimum.multipliers / numbers.units(found_values)
     solve |= {"variations": variations, "cost_size": report.cost_size}
     hamiltonians = np.split(report.hamiltonian, np.cumsum([chain.intervals for chain in numbers.chains])[:-1])
     starts = np.split(report.starts, np.cumsum([chain.dimension - chain.mechanical for chain in numbers.chains])[:-1])
     found, limits = list[ControlTrajectory](), list[ControlPath]()
-    for k, (phase, chain, values, path) in enumerate(zip(phases, numbers.chains, found_values, paths, strict=True)):
+    for k, (phase, chain, values, path) in enumerate(
+        zip(parts.phases, numbers.chains, found_values, paths, strict=True)
+    ):
         joints, mechanical, rule = path.mesh, chain.mechanical, chain.method.element.points
         parameters = None if phase.parameters is None else tuple(values["parameters"].tolist())
         span = float(joints[0]), float(joints[-1])
@@ -57,8 +59,8 @@ def answer(
         if reason is not None:
             words = f"no path {'' if numbers.alike else f'of phase {k} '}was found: {reason}"
             raise ConvergenceError(words, Path(path), solve["residual"], solve["iterations"])
-        momentum = np.zeros((chain.dimension, len(joints)))
-        momentum[:mechanical] = (values["momentum"] * values["sizes"]).T
+        still = np.zeros((chain.dimension - mechanical, len(joints)))
+        momentum = np.vstack(((values["momentum"] * values["sizes"]).T, still))
         rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T
         limits.append(_path_multipliers(chain, multipliers, joints))
         costate = chain.costate(multipliers, optimum.bound_multipliers, joints, starts[k])
@@ -68,8 +70,8 @@ def answer(
                 momentum=tangent_at_joints(solved, path, momentum),
                 action=float(report.actions[k]),
                 problem=solved,
-                cost=report.cost if len(phases) == 1 else float(report.costs[k]),
-                number=k if len(phases) > 1 else None,
+                cost=report.cost if len(parts.phases) == 1 else float(report.costs[k]),
+                number=k if len(parts.phases) > 1 else None,
                 control=control,
                 costate=costate,
                 path_multipliers=limits[k] if chain.path_constraints else None,
@@ -90,14 +92,14 @@ def answer(
         "cost": report.cost,
         "parts": tuple(found),
     }
+    solved_phases = parts.found([part.problem for part in found])
     if isinstance(problem, Phases):
-        return PhasesTrajectory(problem=problem.found([part.problem for part in found]), **whole, **solve)
-    breakpoints = tuple(t for part in found for t in (*part.problem.breakpoints, part.problem.t_span[1]))[:-1]
+        return PhasesTrajectory(problem=solved_phases, **whole, **solve)
     return replace(
         first,
         momentum=np.hstack([*(part.momentum[:, :-1] for part in found[:-1]), last.momentum]),
         action=sum(part.action for part in found),
-        problem=problem.found((first.problem.t_span[0], last.problem.t_span[1]), first.parameters, breakpoints),
+        problem=problem.found(solved_phases.t_span, first.parameters, solved_phases.breakpoints),
         hamiltonian=report.hamiltonian,
         end_velocity=last.end_velocity,
         number=None,

@@ -90,10 +90,8 @@ class ControlPath:
     def __repr__(self) -> str:
         """State the numbers of components, points and intervals."""
         size, points = counted(len(self.values), "component"), counted(len(self.points), "point")
-        return (
-            f"ControlPath of {size} at {points} in each of {counted(len(self.mesh) - 1, 'interval')} of "
-            f"{spanned(self.mesh)}"
-        )
+        intervals = counted(len(self.mesh) - 1, "interval")
+        return f"ControlPath of {size} at {points} in each of {intervals} of {spanned(self.mesh)}"
 
     @property
     def times(self) -> np.ndarray:

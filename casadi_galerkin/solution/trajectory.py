@@ -432,14 +432,12 @@ class Trajectory(Answer):
         times = np.linspace(self.t[0], self.t[-1], whole_number("frames", frames, 2))
         places, axes, drawn = self._places(points, times), axes_or_new(axes), list[Any]()
         axes.set_aspect("equal", "datalim")
-        digits = max(0, 2 - int(np.floor(np.log10(np.ptp(times)))))
         for k, t in enumerate(times):
             trail = axes.plot(*places[-1, :, : k + 1], color=COLORS[5])
             bars = axes.plot(*places[:, :, k].T, "o-", color=COLORS[0], linewidth=2)
-            clock = f"t = {t:.{digits}f} {unit}".rstrip()
+            clock = f"t = {t:.3g} {unit}".rstrip()
             drawn.append([*trail, *bars, axes.text(0.5, 1.02, clock, transform=axes.transAxes, ha="center")])
-        figure = axes.get_figure(root=True)
-        assert figure is not None
+        figure: Any = axes.figure
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # laid out only once, because it takes 0.2 s
         return ArtistAnimation(figure, drawn, interval=1000 * duration / frames)

@@ -258,7 +258,7 @@ def test_animation_moves_the_mechanism_along_the_path(tmp_path):
     trail, bars = axes.get_lines()[-2:]  # of the last frame
     np.testing.assert_allclose(bars.get_xydata(), [[0, 0], [1, 0.5]], atol=1e-14)
     np.testing.assert_array_equal(trail.get_xydata(), path(np.linspace(0, 1, 5)).T)
-    assert [text.get_text() for text in axes.texts] == [f"t = {t:.2f}" for t in np.linspace(0, 1, 5)]
+    assert [text.get_text() for text in axes.texts] == ["t = 0", "t = 0.25", "t = 0.5", "t = 0.75", "t = 1"]
 
 
 @pytest.mark.slow
@@ -270,7 +270,7 @@ def test_animation_takes_the_duration_of_the_path_and_the_axes_given(tmp_path):
     movie = planar(0.2).solve().animate(rods, axes, unit="ms", frames=4)
     movie.save(tmp_path / "movie.gif", writer="pillow", dpi=20)
     assert movie._fig is figure
-    assert axes.texts[-1].get_text() == "t = 0.200 ms"
+    assert axes.texts[-1].get_text() == "t = 0.2 ms"
     assert axes.get_xlabel() == "x in m"
     assert len(axes.get_lines()[-2].get_xdata()) == 4
     assert movie._interval == 50  # milliseconds
