@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.repeated_refinement import RepeatedRefinement
 from casadi_galerkin.boundary.sensitivity import Sensitivity, boundary_function, boundary_sensitivity
-from casadi_galerkin.boundary.transcription import Transcription, transcribed
+from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import check_verbose, counted, whole
 from casadi_galerkin.control.control_refinement import RepeatedOptimization
 from casadi_galerkin.control.control_sensitivity import ControlSensitivity, control_function
-from casadi_galerkin.control.control_transcription import ControlTranscription, transcribed_control
+from casadi_galerkin.control.control_transcription import ControlTranscription
 from casadi_galerkin.control.starts import best_of
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.pointwise import PointMap, by_rows, one_by_one
@@ -204,8 +204,8 @@ def _graph(
     mapping: PointMap = by_rows,
 ) -> Transcription | ControlTranscription:
     """Build the graph of a fixed discretization; `mapping` is how terms are evaluated at many points."""
-    build: Callable[..., Any] = transcribed if isinstance(problem, BoundaryProblem) else transcribed_control
-    return build(problem, _given(method), intervals, mesh, mapping)
+    build: Callable[..., Any] = Transcription if isinstance(problem, BoundaryProblem) else ControlTranscription
+    return build(problem, _given(method), mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)
 
 
 def _refinement(
@@ -493,7 +493,7 @@ def solution_function(
     check_types(problem, method, BoundaryProblem, ControlProblem)
     if isinstance(problem, ControlProblem):
         solver = ipopt if solver is None else solver
-        transcription = transcribed_control(problem, method, intervals, mesh)
+        transcription: Any = _graph(problem, method, intervals, mesh)
         return control_function(transcription, transcription.solve(guess=guess, solver=solver), solver)
     if solver is not None:
         raise ValueError(f"the Function of a BoundaryProblem runs CasADi's Newton method, got solver={solver!r}")

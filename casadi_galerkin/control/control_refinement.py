@@ -24,7 +24,7 @@ from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import halved
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.control_transcription import SHORTEST_STEP, check_solver, transcribed_control
+from casadi_galerkin.control.control_transcription import SHORTEST_STEP, ControlTranscription, check_solver
 from casadi_galerkin.control.optimizer import ACCEPTABLE
 from casadi_galerkin.control.starts import distinct_optima, optima_of
 from casadi_galerkin.control.two_comparisons import (
@@ -137,7 +137,7 @@ class ControlRefinement(Refinement[Any, Any]):
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Any) -> ControlTrajectory:
         """Solve with one method on one mesh within the phases of the problem."""
-        transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
+        transcription = ControlTranscription(self.problem, method, mesh, one_by_one)
         known = isinstance(guess, (ControlTrajectory, PhasesTrajectory))
         solver = from_near(self.solver, guess) if known else self.solver
         enough = min(SOLVER_FRACTION * self.goal, np.sqrt(EPS))  # slopes of √EPS change a cost by its rounding

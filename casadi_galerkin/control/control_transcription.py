@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
@@ -378,23 +378,13 @@ def check_solver(solver: object) -> Solver:
     return solver
 
 
-def transcribed_control(
-    problem: ControlProblem | Phases,
-    method: Galerkin,
-    intervals: int | None,
-    mesh: ArrayLike | None,
-    mapping: PointMap = by_rows,
-) -> ControlTranscription:
-    """Check what is given, and build the program; arguments as for `transcribe`, and how terms are evaluated."""
-    return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)
-
-
 def comparisons(solver: Solver, path: Any) -> Comparisons:
     """A path compared with two of higher degree; errors as for `solve`, where one of these is not found."""
 
     def solved(method: Galerkin, mesh: np.ndarray) -> Any:
-        transcription = transcribed_control(path.problem, method, None, mesh, one_by_one)
-        return transcription.solve(guess=path, solver=from_near(solver, path))
+        return ControlTranscription(path.problem, method, mesh, one_by_one).solve(
+            guess=path, solver=from_near(solver, path)
+        )
 
     *_, both = compared(path, solved)
     known: Comparisons = both.known

@@ -170,13 +170,8 @@ def first_values(
         at_ends = np.array((guess.start_velocity, guess.end_velocity))
     given = np.array([problem.start_velocity, problem.end_velocity], dtype=float)  # NaN for None
     velocities = np.where(np.isnan(given), at_ends, given)[:, : chain.mechanical]
-    velocity = {"start_velocity": velocities[0], "end_velocity": velocities[1]}
-    return {
-        **values,
-        **_at_nodes(chain, path),
-        **velocity,
-        "controls": _controls(problem, chain, calculus, control_guess),
-    }
+    motion = {"start_velocity": velocities[0], "end_velocity": velocities[1]}
+    return values | _at_nodes(chain, path) | motion | {"controls": _controls(problem, chain, calculus, control_guess)}
 
 
 def _at_nodes(chain: Chain, path: np.ndarray) -> dict[str, np.ndarray]:
@@ -219,16 +214,13 @@ def guesses_of_phases(
     path_guess, controls = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     if isinstance(guess, ControlTrajectory):
         path_guess, controls = _of_answer(guess, problem, first, whole)
-    path = PiecewisePolynomial(mesh, whole.method.element.nodes, _path(problem, whole, path_guess).T)
-    cuts = np.cumsum([0, *(len(one.mesh) - 1 for one in calculi)])
-    parts = (
-        [None] * count
-        if controls is None
-        else np.split(
-            _values_of_controls(problem, mesh, controls, times), cuts[1:-1] * (len(times) // (len(mesh) - 1)), axis=1
-        )
-    )
-    return [(path.between(*ends), part) for ends, part in zip(pairwise(cuts.tolist()), parts, strict=True)]
+    nodes, m, r = _path(problem, whole, path_guess).T, whole.method.degree, len(first.control_times)
+    if controls is not None:
+        controls = _values_of_controls(problem, mesh, controls, times)
+    cuts = pairwise(np.cumsum([0, *(len(one.mesh) - 1 for one in calculi)]).tolist())
+    return [
+        (nodes[:, a * m : b * m + 1], controls if controls is None else controls[:, a * r : b * r]) for a, b in cuts
+    ]
 
 
 def _of_whole(guess: Any, span: tuple[float, float]) -> Any:
@@ -272,25 +264,24 @@ def _of_answer(
     answer: ControlTrajectory, problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus
 ) -> tuple[np.ndarray, np.ndarray]:
     """Node values and controls of an earlier solution, at the same fractions of the phases of a problem."""
-    if len(answer.x) != chain.dimension:
-        raise ValueError(f"the guess must be a path of {counted(chain.dimension, 'component')}, got {len(answer.x)}")
-    controls = len(answer.control.values)
-    if controls != chain.controls:
-        raise ValueError(f"the guess must have {counted(chain.controls, 'control')}, got {controls}")
+    given = len(answer.x), len(answer.control.values)
+    if given[0] != chain.dimension:
+        raise ValueError(f"the guess must be a path of {counted(chain.dimension, 'component')}, got {given[0]}")
+    if given[1] != chain.controls:
+        raise ValueError(f"the guess must have {counted(chain.controls, 'control')}, got {given[1]}")
     now, then = (np.array(section_times(one)) for one in (problem, answer.problem))
     times = calculus.node_times, times_at(calculus.mesh, chain.control_times)
     nodes, points = (map_times(t, now, then) for t in times)
     return answer(nodes), answer.control(points)
 
 
-def _zero_or_middle(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
+@np.errstate(invalid="ignore")  # no bounds have no middle
+def _zero_or_middle(*bounds: tuple[float, ...]) -> np.ndarray:
     """Zero where it is inside of the bounds; else their middle, or the finite one."""
-    return np.array(
-        [
-            0.0 if a < 0 < b else (a + b) / 2 if np.isfinite(b - a) else a if np.isfinite(a) else b
-            for a, b in zip(low, high, strict=True)
-        ]
-    )
+    low, high = np.array(bounds)
+    middle = (low + high) / 2
+    finite = np.where(np.isfinite(middle), middle, np.where(np.isfinite(low), low, high))
+    return np.where((low < 0) & (high > 0), 0.0, finite)
 
 
 def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None) -> np.ndarray:
