@@ -31,8 +31,8 @@ GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a g
 # truncation error of a guess on a first mesh: loose for corners and noise, tight for layers
 COARSE_RESOLUTION, FINE_RESOLUTION = 0.1, 1e-6
 RANDOM = "random guesses"
-# first factor by which a fraction grows, the factor below which the path is lost, and the smallest fraction tried
-FIRST_GROWTH, LEAST_GROWTH, LEAST_FRACTION = 10.0, 1.1, 1e-8
+# first factor by which a fraction grows, and the factor below which the path is lost
+FIRST_GROWTH, LEAST_GROWTH = 10.0, 1.1
 
 Find: TypeAlias = Callable[[], CriticalPoint]
 Strategy: TypeAlias = tuple[str, Find]  # its name in reports, and how to find a first path
@@ -182,7 +182,7 @@ def path_by_homotopy(
             point = intermediate_path(part, PiecewisePolynomial(times, guess.nodes, guess.values))
         except ConvergenceError as failure:
             growth = math.sqrt(growth) if known else growth
-            if growth < LEAST_GROWTH or fraction <= LEAST_FRACTION:
+            if growth < LEAST_GROWTH or fraction <= EPS**0.5:
                 words = f"the path under a growing fraction was lost at a fraction of {fraction:.2g}: {failure}"
                 raise ConvergenceError(words, failure.path, failure.residual, failure.iterations) from None
             fraction = known * growth if known else fraction / FIRST_GROWTH

@@ -37,7 +37,7 @@ from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.legendre_transform import momentum_at
-from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF, scaled_solve
 
 # doublings of the number of Newton iterations, to at most 16; 1 to 8 were needed, most for large steps
 ITERATION_DOUBLINGS = 4
@@ -288,7 +288,7 @@ def _solved(matrix: ca.MX, rhs: ca.MX, shape: tuple[int, int], dimension: int) -
     """Solution of the linear equations of an interval; those of a single component need no scaling."""
     if shape[0] == 1:
         return ca.solve(matrix, rhs, "qr", NO_CUTOFF)
-    return solve_scaled(matrix, rhs, _path_unknowns(shape, dimension))
+    return scaled_solve(matrix, _path_unknowns(shape, dimension))(rhs)
 
 
 def _path_unknowns(shape: tuple[int, int], dimension: int) -> list[int]:

@@ -30,7 +30,7 @@ from casadi_galerkin.problems.callables import (
     sizes_of_terms,
     with_parameters,
 )
-from casadi_galerkin.problems.linear_equations import solve_scaled
+from casadi_galerkin.problems.linear_equations import scaled_solve
 from casadi_galerkin.problems.problem import Problem
 
 # Violation of a constraint between the nodes, over the change of g along the path, from which a path is refused.  One
@@ -143,7 +143,7 @@ def _solver(motion: ca.Function) -> ca.Function:
     symbols = motion.mx_in()
     matrix, rhs, *_ = motion.call(symbols)
     rhs = ca.MX.sym("rhs", rhs.numel())
-    return ca.Function("solve", [*symbols, rhs], [solve_scaled(matrix, rhs, range(motion.size1_in(1)))])
+    return ca.Function("solve", [*symbols, rhs], [scaled_solve(matrix, range(motion.size1_in(1)))(rhs)])
 
 
 def motion_of(problem: Problem, force: ca.Function | None = None) -> ca.Function | None:

@@ -17,9 +17,9 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
-from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF, Solve, scaled_solve
 
-DEFECT_TOLERANCE = 1e-3  # accepted defect of a solution, over its right-hand side
+DEFECT_TOLERANCE = 1e-3  # accepted defect of a solution, over its right-hand side, and its refinement, over itself
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
 # factor on the regularization of a condition, see `_regularized`; 1e-6 and 1e-8 left larger errors
 REGULARIZATION = 1e-7
@@ -67,40 +67,41 @@ class LinearSolver:
         return ca.Linsol("ldl", "ldl", self._regularized(self.symbols("matrix")["matrix"]).sparsity())
 
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
-        """Solution of ∇²S Y = -B, refined once but where LDLᵀ has nothing to regularize."""
-        if method != "ldl":
-            solve = (
-                self._bordered
-                if self.numbering.everywhere.start < self.numbering.free
-                else partial(solve_scaled, refined=True)
-            )
-            return -solve(matrix, rhs, range(self.numbering.positions), method)
-        regularized = self._regularized(matrix)
-        y = -self._ldl.solve(regularized, rhs)
-        return y - self._ldl.solve(regularized, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
+        """Solution of ∇²S Y = -B, refined once but where LDLᵀ has nothing to regularize.
 
-    def _bordered(self, matrix: ca.MX, rhs: ca.MX, moving: range, method: str) -> ca.MX:
-        """Solution of ∇²S Y = B by elimination of unknowns that enter everywhere: their rows would fill QR's factors.
+        QR mixes small rows with large ones, and a refinement makes small components of Y as accurate as large ones.
+        Where it is no small part of Y, ∇²S is singular up to rounding, and it is not taken.
+        """
+        if method == "ldl":
+            solve: Solve = partial(self._ldl.solve, self._regularized(matrix))
+        elif self.numbering.everywhere.start < self.numbering.free:
+            solve = self._bordered(matrix, method)
+        else:
+            solve = scaled_solve(matrix, range(self.numbering.positions), method)
+        y = -solve(rhs)
+        if method == "ldl" and not self.numbering.multipliers:
+            return y
+        step = -solve(ca.mac(matrix, y, rhs))
+        return y + ca.if_else(ca.norm_inf(ca.vec(step)) <= DEFECT_TOLERANCE * ca.norm_inf(ca.vec(y)), step, 0)
+
+    def _bordered(self, matrix: ca.MX, method: str) -> Solve:
+        """Solve by elimination of unknowns that enter everywhere: their rows would fill QR's factors.
 
         One refinement makes it accurate even where the rest of the matrix is singular up to rounding, as for modes (W.
         Govaerts and J. D. Pryce, "Block elimination with one refinement solves bordered linear systems accurately",
         BIT 30, 1990).
         """
-        n = self.numbering.everywhere.start
+        n, positions = self.numbering.everywhere.start, range(self.numbering.positions)
+        inner, row = scaled_solve(matrix[:n, :n], positions, method), matrix[n:, :n]
+        response = inner(ca.densify(matrix[:n, n:]))
+        rest = ca.densify(matrix[n:, n:] - ca.mtimes(row, response))
 
-        def solved(rhs: ca.MX) -> ca.MX:
-            sides = ca.horzcat(ca.densify(rhs[:n, :]), ca.densify(matrix[:n, n:]))
-            y, response = ca.horzsplit(
-                solve_scaled(matrix[:n, :n], sides, moving, method, refined=True), [0, rhs.size2(), sides.size2()]
-            )
-            row = matrix[n:, :n]
-            last = ca.solve(
-                ca.densify(matrix[n:, n:] - ca.mtimes(row, response)), rhs[n:, :] - ca.mtimes(row, y), "qr", NO_CUTOFF
-            )
+        def solve(rhs: ca.MX) -> ca.MX:
+            y = inner(ca.densify(rhs[:n, :]))
+            last = ca.solve(rest, rhs[n:, :] - ca.mtimes(row, y), "qr", NO_CUTOFF)
             return ca.vertcat(y - ca.mtimes(response, last), last)
 
-        y = solved(rhs)
-        return y + solved(rhs - ca.mtimes(matrix, y)) if self.numbering.integrals else y
+        return solve
 
     def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
         """‖∇²S y + b‖₁ - DEFECT_TOLERANCE ‖b‖₁: the linear system is solved where this is at most zero."""
