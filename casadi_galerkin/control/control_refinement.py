@@ -29,7 +29,7 @@ from casadi_galerkin.control.optimizer import ACCEPTABLE
 from casadi_galerkin.control.starts import distinct_optima, optima_of
 from casadi_galerkin.control.two_comparisons import (
     BESIDE_FIXED,
-    LEAST_PARTS,
+    MOST_PARTS,
     TwoComparisons,
     compared,
     from_near,
@@ -49,7 +49,6 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver, ipopt
 
 FIRST_INTERVALS = 8
-STARTS_TIME_FRACTION = 0.5  # part of the time limit after which no further start begins
 SOLVER_FRACTION = 1e-2  # part of the tolerance of a quantity to which IPOPT solves: 19 of 19 costs kept their errors
 HARDLY_DETERMINED = (
     "The cost hardly depends on the path: ask tol of=lambda path: path.cost, add a small cost of the control, or leave "
@@ -200,7 +199,7 @@ class ControlRefinement(Refinement[Any, Any]):
         if detail is None:
             return self.scaled(halved(level.t), level)
         self.check_meshes_help(detail)
-        least = LEAST_PARTS if level is self.best[0] else 1.0  # after a level that came no nearer none are merged
+        least = 1 / MOST_PARTS if level is self.best[0] else 1.0  # after a level that came no nearer none are merged
         return self.scaled(detail.mesh(self.tol, self.goal, least), detail.better)
 
     def check_meshes_help(self, detail: TwoComparisons) -> None:
@@ -248,7 +247,7 @@ class ControlRefinement(Refinement[Any, Any]):
         if isinstance(guess, ControlTrajectory):
             guess = replace(guess, problem=without_idle_breakpoints(guess.problem))
         try:
-            with until(self.began + STARTS_TIME_FRACTION * self.limits.seconds):
+            with until((self.began + self.deadline) / 2):  # as long as what follows
                 optima, summary = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
         except ConvergenceError as failure:
             if self.out_of_time():

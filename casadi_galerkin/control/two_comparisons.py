@@ -30,7 +30,7 @@ from casadi_galerkin.calculus.mesh_adaptation import FEWEST, legendre_coefficien
 from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_at
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.calculus.roundoff import EPS, TINY
-from casadi_galerkin.control.optimizer import ACCEPTABLE
+from casadi_galerkin.control.optimizer import ACCEPTABLE, FIRST_BARRIER
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.problems.statements import AT_BOUND
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -44,11 +44,13 @@ JOINT_BEFORE, JOINT_AFTER = 0.31, 0.23  # distances of new joints from an old on
 BESIDE_FIXED = 0.05  # the same for an old joint that stays
 UNSMOOTH_DECAY = 0.25  # ratio of the last two Legendre coefficients to the two before from which a path is not smooth
 KINK_ORDER = 2  # of the error where it is not: a jump of the acceleration inside a step h changes x by the order of h²
-LEAST_PARTS, MOST_PARTS = 0.25, 4.0  # parts that an interval becomes at once
-NEAR_BARRIER = 1e-4  # first barrier of IPOPT from an earlier path: with 1e-2 a robot arm left its path, and found none
-# Ratio of IPOPT's tolerance to its last barrier.  The barrier keeps values off bounds to which little pushes them, such
-# as controls on the short intervals beside a switch: with IPOPT's own 10, the mass of a rocket was known to 3e-7 only.
-BARRIER_RATIO = 1e4
+MOST_PARTS = 4.0  # parts that an interval becomes at once, and intervals that become one
+# First barrier of IPOPT from an earlier path: with the first barrier itself a robot arm left its path, and found none.
+NEAR_BARRIER = FIRST_BARRIER**2
+# Ratio of IPOPT's tolerance to a barrier: from an earlier path the first one is hardly used.  The last barrier keeps
+# values off bounds to which little pushes them, such as controls on the short intervals beside a switch: with IPOPT's
+# own 10, the mass of a rocket was known to 3e-7 only.
+BARRIER_RATIO = 1 / NEAR_BARRIER
 
 
 def raised(method: Galerkin) -> Galerkin:
@@ -173,7 +175,8 @@ class TwoComparisons:
         to be missed is brought to `goal`, the tolerance of a quantity or of x itself; bounds are kept between the
         points, for a quantity where the multipliers do not tell of them.
         """
-        mesh, degree, between = self.better.t, self.path.method.degree, self.better.between_points
+        mesh, degree = self.better.t, self.path.method.degree
+        between = (self.path if len(self.finer) == 1 else self.better).between_points  # on that mesh
         errors, smooth = beyond_degree(self.better)
         errors *= self.change / max(np.max(errors), TINY)
         parts = parts_wanted(errors, np.where(smooth, degree + 1, KINK_ORDER), tol)
