@@ -264,17 +264,15 @@ class PhasesTrajectory(OptimalPath):
     def table(self, times: ArrayLike | None = None) -> Columns:
         """The tables of the phases one after the other, with the number of the phase; what a phase has not is NaN.
 
+        At the time at which a phase begins, values are those of this phase.
+
         Parameters
         ----------
-        times : (K,); default those of the tables of the phases
+        times : (K,); default `fine_times`
         """
-        chosen: list[np.ndarray | None] = [None] * len(self.phases)
-        if times is not None:
-            given = np.atleast_1d(times_within(self.t, times)).ravel()
-            which = np.searchsorted([path.t[0] for path in self.phases[1:]], given, side="right")
-            chosen = [given[which == k] for k in range(len(self.phases))]
-        asked = [(k, some) for k, some in enumerate(chosen) if some is None or len(some)]
-        tables = [{"phase": np.array(k), **self.phases[k].table(some)} for k, some in asked]
+        given = np.atleast_1d(times_within(self.t, self.fine_times if times is None else times)).ravel()
+        which = np.searchsorted([path.t[0] for path in self.phases[1:]], given, side="right")
+        tables = [{"phase": np.array(k), **self.phases[k].table(given[which == k])} for k in np.unique(which)]
         columns = dict.fromkeys(name for each in tables for name in each)
         return {
             name: np.concatenate([np.broadcast_to(each.get(name, np.nan), each["t"].shape) for each in tables])

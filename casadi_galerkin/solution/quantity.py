@@ -33,12 +33,8 @@ def check_asked(of: Quantity | None, tol: float | None) -> None:
 
 
 def quantity(of: Quantity, path: object) -> np.ndarray:
-    """A quantity of a path; a TypeError refuses what is no number or array, a ValueError what is not finite."""
-    try:
-        value = of(path)
-    except Exception as error:
-        kind = TypeError if isinstance(error, TypeError) else ValueError
-        raise kind(f"of raised {error!r}") from error
+    """A quantity of a path; refuses what is no number or array, and what is not finite."""
+    value = of(path)
     checked = real_array("what of returns", value)
     if not checked.size or not np.isfinite(checked).all():
         raise ValueError(f"of must return finite numbers, got {value!r}")
