@@ -33,8 +33,6 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 Graph = TypeVar("Graph", bound="BoundaryGraph")
 
-REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be computed
-
 
 @dataclass(frozen=True)
 class CriticalPoint:
@@ -158,7 +156,7 @@ class BoundaryGraph:
 
     def refuse_conjugate(self, point: CriticalPoint) -> None:
         """Raise if the second variation, computed only if the regularity is small, vanishes at a critical point."""
-        if not point.solution.regularity > REGULAR:
+        if not point.solution.regularity > EPS**0.5:
             self.check_second_variation(point)
 
     def check_second_variation(self, point: CriticalPoint) -> None:

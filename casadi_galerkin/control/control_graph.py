@@ -35,13 +35,12 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases, parted, times_free
 from casadi_galerkin.problems.statements import FEASIBLE, bound_excess
 
-ROUNDOFF_ONLY = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
 # part of the cost of a change as large as the path itself above which the cost measures its own errors: the cost of a
 # path that follows a curve exactly is that of its errors, which falls with any mesh
 LEAST_COST = 1e-6
 
 
-VANISHED = 1e3 * EPS  # terms over those along the guess below which they are rounding
+VANISHED = 1e3 * EPS  # terms below which they are rounding: over those that cancel in them, or along the guess
 LEAST_SIZE = EPS / FEASIBLE  # size of terms, over that of what they are part of, from which their rounding is feasible
 
 
@@ -267,7 +266,7 @@ class ControlGraph:
         # The terms of a component at rest are only roundoff of its slopes, which is measured by the sizes of the terms
         # that cancel in the slopes.  The sizes of other components do not include these.
         moving, canceled = (largest_of(sizes, numbers.kinds) for sizes in terms)
-        at_rest = np.isfinite(canceled) & (moving <= ROUNDOFF_ONLY * canceled)
+        at_rest = np.isfinite(canceled) & (moving <= VANISHED * canceled)
         sizes = np.fmax(moving, canceled)
         for chain in numbers.chains:
             sizes[chain.motions] = np.where(at_rest, canceled, moving)[chain.motions]

@@ -39,13 +39,14 @@ from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF, scaled_solve
 
-# doublings of the number of Newton iterations, to at most 16; 1 to 8 were needed, most for large steps
-ITERATION_DOUBLINGS = 4
+# doublings of the number of Newton iterations: at least as many as double the digits from the first to the last, which
+# is 8; more led through collisions
+ITERATION_DOUBLINGS = int(np.ceil(np.log2(np.log2(-np.log2(EPS)))))
 # estimated relative Newton step that is no longer taken; the estimate was measured up to 60 times too small
 SMALLEST_STEP = 0.01 * EPS
 # The last step that Newton's method takes is at most this part of the largest component.  QR spreads the rounding of
 # this step, EPS times its size, to all components, also to those at rest.
-LARGEST_LAST_STEP = SMALLEST_STEP ** (1 / 3)
+LARGEST_LAST_STEP = float(np.cbrt(SMALLEST_STEP))
 # relative Newton step after which only rounding can keep the next one, its square, from being far smaller
 NEARLY_CONVERGED_SLOPES = EPS**0.5
 

@@ -348,12 +348,7 @@ def test_steps_of_any_length_leave_a_rest(name, step, degree):
 def test_steps_that_leave_their_constraint_between_the_nodes_are_refused():
     """All nodes are held, and between them the rod is up to a fifth too short."""
     message = "leaves its constraint between the nodes"
-    swing, long = (
-        cg.InitialProblem(planar, (0, duration), [0.0, -1.0], velocity=[1.0, 0.0], constraint=unit_length)
-        for duration in (6, 10)
-    )
-    with pytest.raises(cg.ConvergenceError, match=message):
-        cg.solve(long, cg.Galerkin(5), 1)
+    swing = cg.InitialProblem(planar, (0, 6), [0.0, -1.0], velocity=[1.0, 0.0], constraint=unit_length)
     lift = cg.BoundaryProblem(planar, (0, 2), [0.0, -1.0], on_circle(1.5), constraint=unit_length)
     for found in (cg.shoot, cg.solve):
         with pytest.raises(cg.ConvergenceError, match=message):
