@@ -34,7 +34,10 @@ def check_asked(of: Quantity | None, tol: float | None) -> None:
 
 def quantity(of: Quantity, path: object) -> np.ndarray:
     """A quantity of a path; refuses what is no number or array, and what is not finite."""
-    value = of(path)
+    try:
+        value = of(path)
+    except Exception as error:
+        raise ValueError(f"of raised {error!r}") from error
     checked = real_array("what of returns", value)
     if not checked.size or not np.isfinite(checked).all():
         raise ValueError(f"of must return finite numbers, got {value!r}")
