@@ -1,7 +1,7 @@
 """A double pendulum that swings from one pose to another, in poses, in phase space, and as a moving picture.
 
-Unit masses on unit rods.  Of the start, the angle of the upper rod is known, and that the lower one is at rest there.
-It hangs where the motion to the given end has it hang: at 1.2 rad, because the ends are those of a start from rest.
+Unit masses on unit rods.  Of the start, only that both are at rest there is known.  They hang where the motion to the
+given end has them hang: at 1.0 and 1.2 rad.
 """
 
 import casadi as ca
@@ -12,7 +12,7 @@ import casadi_galerkin as cg
 GRAVITY = 9.81  # m/s²
 DURATION = 0.5  # s
 FRAMES = 25
-START, AT_START = (1.0, None), (None, 0.0)  # rad, rad/s
+START, AT_START = (None, None), (0.0, 0.0)  # rad, rad/s
 END = (0.34020240315987093, 0.67472456539636882)  # rad, from below
 
 
