@@ -74,9 +74,7 @@ FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls
 SHORTEST_INTERVAL = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
 # interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
 TIME_ROUNDING = 1e5 * EPS
-# tolerance and shortest interval over the duration for the intermediate paths of a homotopy; paths that were found on
-# the way past a singularity had intervals of 7e-6 and longer
-HOMOTOPY_ACCURACY = 1e-3, 1e-6
+HOMOTOPY_ACCURACY = 1e-3, 500  # tolerance and largest number of intervals for the intermediate paths of a homotopy
 Parts = Callable[[float], np.ndarray]  # tolerance of x -> numbers of parts into which intervals are to be split
 MESHES_WITHOUT_HALVING = 8  # meshes in a row that do not halve an error; intervals that move to a layer need up to 6
 
@@ -84,7 +82,7 @@ MESHES_WITHOUT_HALVING = 8  # meshes in a row that do not halve an error; interv
 class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
     """One refinement of the problem of a `GraphCache`; the other arguments are those of `solve`."""
 
-    roundoff_level, shortest_interval = 0.0, SHORTEST_INTERVAL
+    roundoff_level = 0.0
 
     def __init__(
         self,
@@ -227,7 +225,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
     def shortest(self, mesh: np.ndarray) -> np.ndarray:
         """Lengths below which the precision of a double does not resolve intervals, or their times."""
         inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
-        steps = np.maximum(self.shortest_interval * (mesh[-1] - mesh[0]), TIME_ROUNDING * inside)
+        steps = np.maximum(SHORTEST_INTERVAL * (mesh[-1] - mesh[0]), TIME_ROUNDING * inside)
         return np.maximum(steps, NEAREST * np.max(np.abs(mesh)))
 
     @property
@@ -309,9 +307,10 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
 
     def intermediate_path(self, graphs: GraphCache, guess: PiecewisePolynomial) -> CriticalPoint:
         """Find a path of a homotopy to a loose tolerance, on a mesh that resolves it."""
-        tol, shortest = HOMOTOPY_ACCURACY
-        part = BoundaryRefinement(graphs, max(self.tol, tol), self.method, self.solver, self.limits)
-        part.deadline, part.shortest_interval = self.deadline, shortest
+        tol, most = HOMOTOPY_ACCURACY
+        limits = replace(self.limits, intervals=min(self.limits.intervals, most))
+        part = BoundaryRefinement(graphs, max(self.tol, tol), self.method, self.solver, limits)
+        part.deadline = self.deadline
         return part.refine(graphs.solve(self.method, guess.mesh, guess, self.warm_solver))[0]
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:
