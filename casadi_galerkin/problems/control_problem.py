@@ -41,7 +41,7 @@ from casadi_galerkin.problems.callables import (
 )
 from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.legendre_transform import singular_mass
-from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, section_times, with_values
+from casadi_galerkin.problems.problem import BOUNDS, END_MOTIONS, ENDS, Problem, is_given, section_times, with_values
 from casadi_galerkin.problems.statements import FEASIBLE, Limited, Statement, is_limited, keeps_to, optional, plain
 
 
@@ -351,11 +351,6 @@ class ControlProblem(Problem):
         return left_out(vars(self).get("_given", vars(self))["lagrangian"])
 
     @property
-    def given_positions(self) -> np.ndarray:
-        """Positions given at start and end, NaN where none is; (2, d)."""
-        return np.array([self.start, self.end], dtype=float)
-
-    @property
     def constraints(self) -> int:
         """Number of holonomic constraints."""
         return 0 if self.constraint is None else self.constraint.numel_out(0)
@@ -420,22 +415,17 @@ class ControlProblem(Problem):
         the velocity of a component that follows a rate, which is no argument of an end condition.  Nothing is added of
         what end conditions speak of: the same twice has no multipliers, and it may be where g has no derivative.
         """
-        g, low, high = self.path_constraint
-        numbers, equal, rows = np.arange(self.dimension), np.equal(low, high), list[list[int]]()
-        excluded = equal & (np.count_nonzero(equal) >= self.controls)
-        excluded |= rows_that_depend(g, TIME, [True])
+        (g, low, high), spoken = self.path_constraint, self.end_conditions[0]
+        equal, rows = np.equal(low, high), list[list[int]]()
+        excluded = equal & (np.count_nonzero(equal) >= self.controls) | rows_that_depend(g, TIME, [True])
         excluded |= rows_that_depend(g, CONTROLS, np.ones(self.controls, dtype=bool))
-        ends = (self.start, self.start_velocity), (self.end, self.end_velocity)
-        for k, (x, v) in enumerate(ends):
-            stated_x, stated_v = (
-                np.isin(numbers, list(entries_of(self.end_conditions[0], i))) for i in (2 * k, 2 * k + 1)
-            )
-            spoken = rows_that_depend(g, POSITIONS, stated_x)
-            spoken |= rows_that_depend(g, VELOCITIES, stated_v | (numbers >= self.mechanical))
-            free_x, free_v = ([a is None for a in values] for values in (x, v))
-            limited = rows_that_depend(g, POSITIONS, free_x) | rows_that_depend(g, VELOCITIES, free_v)
+        rated = np.arange(self.dimension) >= self.mechanical
+        for k, (_, x, v, _) in enumerate(self.given_at_ends.values()):
+            stated_x, stated_v = (pattern(spoken, i).any(axis=0) for i in (2 * k, 2 * k + 1))
+            stated = rows_that_depend(g, POSITIONS, stated_x) | rows_that_depend(g, VELOCITIES, stated_v | rated)
+            free = rows_that_depend(g, POSITIONS, np.isnan(x)) | rows_that_depend(g, VELOCITIES, np.isnan(v))
             costs = k == 1 or self.initial_cost is not None
-            rows.append(np.flatnonzero(limited & ~excluded & ~spoken).tolist() if costs else [])
+            rows.append(np.flatnonzero(free & ~excluded & ~stated).tolist() if costs else [])
         return rows
 
     @property
@@ -477,9 +467,9 @@ class ControlProblem(Problem):
 
     def _another(self, name: str, value: Any) -> Any:
         """Another value of a statement; bounds of velocities are rows, which stay the same."""
-        if name not in ("control_bounds", "position_bounds", "velocity_bounds"):
+        if name not in BOUNDS:
             return super()._another(name, value)
-        other = statements.within("controls" if name == "control_bounds" else "dimension").read(name, value, self)
+        other = vars(ControlProblem)[name].read(name, value, self)
         now, before = (np.isfinite(sides).any(axis=0).tolist() for sides in (other, getattr(self, name)))
         if name == "velocity_bounds" and now != before:
             raise ValueError(f"{name} must bound the same components as the problem does, {before}, got {now}")

@@ -65,11 +65,6 @@ class InitialProblem(Problem):
     rules, rules_of_values = (impossible_constraint,), (constraint_at_ends, _stateless)
 
     @property
-    def start_velocity(self) -> tuple[float | None, ...]:
-        """The velocity at the start, None where nothing is given."""
-        return self.velocity or (None,) * self.dimension
-
-    @property
     def start_state(self) -> tuple[np.ndarray, np.ndarray]:
         """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
         lagrangian = self.numeric.lagrangian

@@ -19,6 +19,7 @@ from casadi_galerkin.problems.statements import Rule, Statement, check
 ENDS = ("start", "end")
 END_MOTIONS = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
 UNSAID = "lagrangian", "t_span", "components"  # by the summary of a problem
+BOUNDS = "control_bounds", "position_bounds", "velocity_bounds"
 VARIED = (*ENDS, "parameters", *END_MOTIONS, "integral_values", "energy")  # what can be varied, where a problem has it
 
 
@@ -103,12 +104,18 @@ class Problem(Stated):
         return {name: value if isinstance(value, tuple) else (value,) for name, value in given.items()}
 
     @property
+    def given_positions(self) -> np.ndarray:
+        """Positions given at start and end, NaN where none is; (2, d)."""
+        return np.array([getattr(self, name) for name in ENDS], dtype=float)
+
+    @property
     def given_at_ends(self) -> dict[str, tuple[np.ndarray, ...]]:
         """Time, position, velocity and parameters at the start, and at the end if there is one; NaN where free."""
         ends = {}
         for t, name in zip(self.t_span, ENDS, strict=True):
-            if hasattr(self, name):
-                values = t, getattr(self, name), getattr(self, f"{name}_velocity"), self.parameters or ()
+            if name in vars(self):
+                v = vars(self).get(f"{name}_velocity", vars(self).get("velocity")) or (None,) * self.dimension
+                values = t, getattr(self, name), v, self.parameters or ()
                 ends[name] = tuple(np.array(value, dtype=float) for value in values)
         return ends
 
@@ -153,7 +160,8 @@ class Problem(Stated):
     def _another(self, name: str, value: Any) -> Any:
         """Another value of a statement, with None where it has None."""
         if name not in VARIED:
-            raise ValueError(f"what can be varied is {', '.join(VARIED)}, got {name}={value!r}")
+            known = ", ".join(name for name in (*VARIED, *BOUNDS) if hasattr(self, name))
+            raise ValueError(f"what can be varied is {known}, got {name}={value!r}")
         before = getattr(self, name, None)
         if before is None:
             raise ValueError(f"the problem has no {name}, got {name}={value!r}")
