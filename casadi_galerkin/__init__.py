@@ -11,7 +11,6 @@ from casadi_galerkin.boundary.branch import Branch as Branch
 from casadi_galerkin.boundary.branch import BranchPoint as BranchPoint
 from casadi_galerkin.boundary.branch import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation
-from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity
 from casadi_galerkin.boundary.transcription import Transcription as Transcription
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus as DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin as Galerkin
@@ -26,7 +25,6 @@ from casadi_galerkin.calculus.quadrature import lobatto as lobatto
 from casadi_galerkin.calculus.quadrature import midpoint as midpoint
 from casadi_galerkin.calculus.quadrature import radau as radau
 from casadi_galerkin.calculus.quadrature import trapezoid as trapezoid
-from casadi_galerkin.control.control_sensitivity import ControlSensitivity as ControlSensitivity
 from casadi_galerkin.control.control_transcription import ControlTranscription as ControlTranscription
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem as BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem as ControlProblem
@@ -43,6 +41,7 @@ from casadi_galerkin.solution.optimal_path import PhasesTrajectory as PhasesTraj
 from casadi_galerkin.solution.path import load as load
 from casadi_galerkin.solution.plotting import panels as panels
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
+from casadi_galerkin.solvers.derivatives import Sensitivity as Sensitivity
 from casadi_galerkin.solvers.solver import Solver as Solver
 from casadi_galerkin.solvers.solver import fatrop as fatrop
 from casadi_galerkin.solvers.solver import ipopt as ipopt

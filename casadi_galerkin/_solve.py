@@ -12,13 +12,13 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.repeated_refinement import RepeatedRefinement
-from casadi_galerkin.boundary.sensitivity import Sensitivity, boundary_function, boundary_sensitivity
+from casadi_galerkin.boundary.sensitivity import boundary_function, boundary_sensitivity
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.numbers import check_verbose, counted, whole
 from casadi_galerkin.control.control_refinement import RepeatedOptimization
-from casadi_galerkin.control.control_sensitivity import ControlSensitivity, control_function
+from casadi_galerkin.control.control_sensitivity import control_function
 from casadi_galerkin.control.control_transcription import ControlTranscription
 from casadi_galerkin.control.starts import best_of
 from casadi_galerkin.functional.buffers import interrupts_raised
@@ -35,6 +35,7 @@ from casadi_galerkin.solution.optimal_path import PhasesTrajectory
 from casadi_galerkin.solution.quantity import Quantity, check_asked
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.deadline import until
+from casadi_galerkin.solvers.derivatives import Sensitivity
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.stepping.initial_value import integrate, to_tolerance
 
@@ -500,15 +501,7 @@ def solution_function(
     return boundary_function(problem, method, intervals, mesh, guess)
 
 
-@overload
-def sensitivity(path: ControlTrajectory) -> ControlSensitivity: ...
-
-
-@overload
-def sensitivity(path: Trajectory) -> Sensitivity | ControlSensitivity: ...
-
-
-def sensitivity(path: Trajectory) -> Sensitivity | ControlSensitivity:
+def sensitivity(path: Trajectory) -> Sensitivity:
     """Derivatives of a solution by the data of its problem, by one factorization and a back-substitution for each.
 
     Of the path of a BoundaryProblem, by parameters and ends, from its Hessian; of an optimum, also by velocities and
@@ -521,7 +514,7 @@ def sensitivity(path: Trajectory) -> Sensitivity | ControlSensitivity:
 
     Returns
     -------
-    Sensitivity, whose arrays have no columns for what the problem does not have; of an optimum ControlSensitivity
+    Sensitivity
 
     Raises
     ------
@@ -535,12 +528,12 @@ def sensitivity(path: Trajectory) -> Sensitivity | ControlSensitivity:
     --------
     >>> import casadi_galerkin as cg
     >>> problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
-    >>> float(cg.sensitivity(cg.solve(problem, cg.Galerkin(degree=2), intervals=4)).end[0, 1, 0].round(9))
+    >>> float(cg.sensitivity(cg.solve(problem, cg.Galerkin(degree=2), intervals=4)).x["end"][0, 1, 0].round(9))
     0.25
     """
     if isinstance(path, ControlTrajectory):
         path._ask_whole("derivatives")
-        derivatives: ControlSensitivity = path.variations.sensitivity(path)
+        derivatives: Sensitivity = path.variations.sensitivity(path)
         return derivatives
     if not isinstance(path, Trajectory):
         raise TypeError(f"sensitivity takes a Trajectory, got {type(path).__name__}")

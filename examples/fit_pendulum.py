@@ -55,7 +55,7 @@ def main(seed=SEED):
     estimate = np.array(answer["x"]).ravel()
     fitted = cg.solve(swing(estimate), method, INTERVALS, guess=first)
     by = cg.sensitivity(fitted)
-    slope = np.hstack((by.start[0], by.end[0], by.parameters[0])) / NOISE
+    slope = np.hstack([by.x[name][0] for name in ("start", "end", "parameters")]) / NOISE
     return estimate, np.linalg.inv(slope.T @ slope), angles, fitted
 
 

@@ -164,7 +164,7 @@ def test_a_path_keeps_everything(used):
     for order in (0, 1, 2):
         np.testing.assert_array_equal(copy(times, order), path(times, order))
     assert str(copy) == str(path)
-    np.testing.assert_array_equal(cg.sensitivity(copy).end, cg.sensitivity(path).end)
+    np.testing.assert_array_equal(cg.sensitivity(copy).x["end"], cg.sensitivity(path).x["end"])
 
 
 def test_a_copy_of_a_path_is_a_guess():

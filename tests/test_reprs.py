@@ -100,7 +100,7 @@ CASES = {
     "Row of a failure": lambda: cg.trade(SHORT, [METHOD, cg.Galerkin(2)], [4]).rows[1],
     "Sensitivity": lambda: cg.sensitivity(cg.solve(bratu_problem(), METHOD, 100)),
     "Sensitivity of many components": lambda: cg.sensitivity(cg.solve(chain(), METHOD, 20)),
-    "ControlSensitivity": lambda: cg.sensitivity(cg.solve(double_integrator(), cg.Galerkin(3), 4)),
+    "Sensitivity of an optimum": lambda: cg.sensitivity(cg.solve(double_integrator(), cg.Galerkin(3), 4)),
     "Geometry": lambda: cg.geometry(steps(), symmetry=rotation),
     "Geometry without symmetry": lambda: cg.geometry(cg.solve(SHORT, METHOD, 100)),
     "PiecewisePolynomial": lambda: cg.solve(chain(), METHOD, 20).polynomial,

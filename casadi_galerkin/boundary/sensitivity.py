@@ -11,24 +11,21 @@ CasADi's rootfinder applies this rule, so that `solution_function` has forward a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.transcription import transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import relative_residuals
 from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.derivatives import Sensitivity, solved, verified_function
 from casadi_galerkin.solvers.linear_solver import all_finite
 from casadi_galerkin.solvers.rootfinder import embeddable
 from casadi_galerkin.solvers.stationarity import ACCEPTED, Stationarity
-from casadi_galerkin.solvers.verified_function import verified_function
 
 
 def boundary_function(
@@ -77,47 +74,6 @@ def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:
     return ca.Function("check", expressions, list(symbols), ["verified"], {"is_diff_out": [False]})
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class Sensitivity:
-    """Derivatives of a path at its joints by the data of its problem.
-
-    Those of its momenta are derivatives of the Function that `solution_function` makes.  A duration is no datum, but
-    with its length T as a parameter and L(t T, x, v / T) T in place of L, the time span is always from 0 to 1.
-
-    Attributes
-    ----------
-    t : (N + 1,), joints
-    parameters : (d, N + 1, number of parameters), ∂x_i/∂p_j, in units of x[i] over units of p[j]
-    start, end : (d, N + 1, number of components that the problem fixes there), in units of x over units of x
-    integral_values : (d, N + 1, number of `integral_conditions`)
-
-    Examples
-    --------
-    >>> import casadi_galerkin as cg
-    >>> line = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
-    >>> by = cg.sensitivity(cg.solve(line, cg.Galerkin(degree=2), intervals=4))
-    >>> by.start[0, :, 0].round(9).tolist(), by.parameters.shape
-    ([1.0, 0.75, 0.5, 0.25, 0.0], (1, 5, 0))
-    """
-
-    t: np.ndarray
-    parameters: np.ndarray
-    start: np.ndarray
-    end: np.ndarray
-    integral_values: np.ndarray
-
-    def __repr__(self) -> str:
-        """Say what was differentiated by what, and the largest derivative."""
-        d, joints, _ = self.parameters.shape
-        lines = [f"Sensitivity of {counted(d, 'component')} at {joints} joints"]
-        for name in ("parameters", "start", "end", "integral_values"):
-            values = getattr(self, name)
-            if values.size:
-                count = counted(values.shape[2], "value")
-                lines.append(f"  by {count} of {name}: largest derivative {np.max(np.abs(values)):.3g}")
-        return "\n".join(lines)
-
-
 def boundary_sensitivity(path: Trajectory) -> Sensitivity:
     """Derivatives of the path of a BoundaryProblem, see `sensitivity`."""
     problem = path.problem
@@ -134,23 +90,19 @@ def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     """`sensitivity` of the path of a problem, where the energy is given at joints that move with the data."""
     transcription = transcribed(problem, path.method, None, path.t)
     numbering, symbols = transcription.numbering, transcription.functional.symbols
-    data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
+    data = {name: symbols[name] for name in ("start", "end", "parameters") if name in symbols}
     matrix, gradient, _ = transcription.functional.function("derivatives").call(list(symbols.values()))
     by_values = -ca.DM.eye(numbering.free)[:, numbering.everywhere][:, : numbering.integrals]
-    by_data = ca.densify(ca.horzcat(ca.jacobian(gradient, data), by_values))
-    solutions = transcription.stationarity.linear_solver.solving(
-        "solutions", "qr", columns=by_data.size2(), transposed=False
-    )
-    change = solutions(matrix, by_data)[0]
-    change += solutions(matrix, ca.mac(matrix, change, by_data))[0]  # iterative refinement, for rows of different units
+    by_data = ca.densify(ca.horzcat(ca.jacobian(gradient, ca.vertcat(*data.values())), by_values))
     unknowns, given = transcription.on_path(path.polynomial)
-    derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call([unknowns, *given])[0])
-    fixed = np.eye(numbering.size - numbering.free, by_data.size2())
-    by_u = np.concatenate((derivative.reshape(numbering.free, by_data.size2()), fixed))
+    equations = ca.Function("equations", list(symbols.values()), [matrix, by_data])
+    matrix, rhs = equations.call([unknowns, *map(ca.DM, given)])
+    change, _ = solved(matrix, -rhs.full())
+    by_u = np.concatenate((change, np.eye(numbering.size - numbering.free, change.shape[1])))
     x = by_u[numbering.of_nodes[:: path.method.degree]].transpose(1, 0, 2)  # (d, N + 1, data)
-    start, end = len(numbering.fixed_start), len(numbering.fixed_start) + len(numbering.fixed_end)
-    parameters = data.numel()
-    return Sensitivity(path.t, x[..., end:parameters], x[..., :start], x[..., start:end], x[..., parameters:])
+    counts = {name: symbol.numel() for name, symbol in data.items()} | {"integral_values": numbering.integrals}
+    parts = np.split(x, np.cumsum(list(counts.values()))[:-1], axis=2)
+    return Sensitivity(path.t, {name: by for name, by in zip(counts, parts, strict=True) if by.size})
 
 
 def _refuse_energy(name: str, problem: BoundaryProblem) -> None:

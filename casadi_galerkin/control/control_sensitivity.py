@@ -13,7 +13,7 @@ A bound that is met, but hardly acts, has another derivative on either side.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -32,9 +32,9 @@ from casadi_galerkin.problems.phases import parted
 from casadi_galerkin.problems.problem import with_values
 from casadi_galerkin.problems.statements import FEASIBLE
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
-from casadi_galerkin.solvers.linear_solver import all_finite, factors_of
+from casadi_galerkin.solvers.derivatives import Sensitivity, solved, verified_function
+from casadi_galerkin.solvers.linear_solver import all_finite
 from casadi_galerkin.solvers.solver import Solver
-from casadi_galerkin.solvers.verified_function import verified_function
 
 WEAK = (
     10 * TOLERANCE**0.5
@@ -44,51 +44,6 @@ SIDES = "position_bounds", "control_bounds", "duration_bounds", "parameter_bound
 LIMITS = "path_constraint", "end_conditions"  # (g, lower, upper bounds)
 Units: TypeAlias = tuple[np.ndarray, np.ndarray]
 ROUNDED = EPS**0.5  # relative error by rounding from which derivatives are refused: half of the digits
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class ControlSensitivity:
-    """Derivatives of an optimal path by the data of its problem.
-
-    Each attribute but `t` has one array for every datum, by name: "start", "end", "start_velocity", "end_velocity"
-    and "parameters", with an entry in the last axis for each value that the problem gives; and "position_bounds",
-    "control_bounds", "duration_bounds", "parameter_bounds", "path_constraint" and "end_conditions", with the last two
-    axes (2, count) of lower and upper bounds.  What the problem does not have, or leaves free, is left out.  By bounds
-    that do not act they are zero.
-
-    Attributes
-    ----------
-    t : (N + 1,), joints
-    x : (d, N + 1, ...), of the positions at the joints; where durations are free, at the same fractions of phases
-    control : (n, N r, ...), of the controls at the quadrature points
-    durations : (phases, ...), of the durations of the phases
-    parameters : (count, ...), of free parameters
-    cost : (...), of the cost, by the multipliers alone
-
-    Examples
-    --------
-    >>> import casadi_galerkin as cg
-    >>> move = cg.ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
-    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
-    >>> by = cg.sensitivity(cg.solve(move, cg.Galerkin(degree=3), intervals=4))  # the cost is 6 (end - start)²
-    >>> by.cost["end"].round(6).tolist(), by.x["end"][0, :, 0].round(6).tolist()
-    ([12.0], [0.0, 0.15625, 0.5, 0.84375, 1.0])
-    """
-
-    t: np.ndarray
-    x: Mapping[str, np.ndarray]
-    control: Mapping[str, np.ndarray]
-    durations: Mapping[str, np.ndarray]
-    parameters: Mapping[str, np.ndarray]
-    cost: Mapping[str, np.ndarray]
-
-    def __repr__(self) -> str:
-        """Say what was differentiated by what, and the derivatives of the cost."""
-        lines = [f"ControlSensitivity at {counted(len(self.t), 'joint')}"]
-        for name, cost in self.cost.items():
-            largest = np.max(np.abs(self.x[name]), initial=0.0)
-            lines.append(f"  by {name}: of the cost {cost.tolist()}, of x up to {largest:.3g}")
-        return "\n".join(lines)
 
 
 def acting(values: ca.MX, multipliers: ca.MX, bounds: tuple[ca.MX, ca.MX], units: np.ndarray) -> tuple[ca.MX, ...]:
@@ -227,9 +182,7 @@ def units_of(graph: ControlGraph, unknowns: np.ndarray, scales: np.ndarray, cost
     return np.stack((sizes, cost / sizes)), np.stack((or_one(scales), cost / or_one(scales)))
 
 
-def sensitivity_of(
-    problem: ControlProblem, graph: ControlGraph, at: Optimum, path: ControlTrajectory
-) -> ControlSensitivity:
+def sensitivity_of(problem: ControlProblem, graph: ControlGraph, at: Optimum, path: ControlTrajectory) -> Sensitivity:
     """Derivatives of an optimum, of which the problem may leave out idle breakpoints of the path's."""
     if path.morse_index:
         directions = counted(path.morse_index, "direction")
@@ -245,8 +198,13 @@ def sensitivity_of(
             "sensitivity takes optima whose bounds either act or are not met, got one that is met but hardly acts: the "
             "derivatives on its two sides differ. Move that bound, or the data, a little"
         )
-    solution, shapes = _solved(matrix, -missed.full())[: numbers.unknowns], data.shapes
-    rows = np.concatenate((solution, data.seeds[0], cost.full()))
+    (solution, rounding), shapes = solved(matrix, -missed.full()), data.shapes
+    if not np.all(np.max(np.abs(rounding), axis=0) <= ROUNDED * (np.max(np.abs(solution), axis=0) + TINY)):
+        raise ValueError(
+            "sensitivity takes optima that cost and bounds determine to second order, got one whose derivatives are "
+            "rounding alone: a control may cost nothing, or a bound state what others state"
+        )
+    rows = np.concatenate((solution[: numbers.unknowns], data.seeds[0], cost.full()))
 
     def of(entries: np.ndarray) -> dict[str, np.ndarray]:
         """Derivatives of some entries of ξ, the data and the cost, by the name of what they are derivatives by."""
@@ -255,27 +213,7 @@ def sensitivity_of(
 
     found, parameters = numbers.whole(), numbers.chains[-1].fields["parameters"][-1]
     entries = found["x"].T, found["controls"].T, found["durations"], parameters, np.array(len(rows) - 1)
-    return ControlSensitivity(path.t, *map(of, entries))
-
-
-def _solved(matrix: ca.DM, rhs: np.ndarray) -> np.ndarray:
-    """Solutions of linear equations, refined once; refuses a matrix whose rounding changes them.
-
-    The path then is no strict minimum to second order, or states something twice.
-    """
-    factors = factors_of(matrix.sparsity(), "qr")
-    factors.nfact(matrix)
-    solution = factors.solve(matrix, ca.DM(rhs))
-    solution += factors.solve(matrix, rhs - ca.mtimes(matrix, solution))
-    signs = np.random.default_rng(len(rhs)).choice((-1.0, 1.0), rhs.shape)
-    rounding = factors.solve(matrix, EPS * signs * ca.mtimes(ca.fabs(matrix), ca.fabs(solution))).full()
-    solution = solution.full()
-    if not np.all(np.max(np.abs(rounding), axis=0) <= ROUNDED * (np.max(np.abs(solution), axis=0) + TINY)):
-        raise ValueError(
-            "sensitivity takes optima that cost and bounds determine to second order, got one whose derivatives are "
-            "rounding alone: a control may cost nothing, or a bound state what others state"
-        )
-    return solution
+    return Sensitivity(path.t, *map(of, entries))
 
 
 def control_function(transcription: Any, path: ControlTrajectory, solver: Solver) -> ca.Function:

@@ -29,13 +29,13 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
 from casadi_galerkin.control.control_graph import LEAST_COST, ControlGraph
 from casadi_galerkin.control.control_numbering import Numbering
-from casadi_galerkin.control.control_sensitivity import ControlSensitivity, sensitivity_of
+from casadi_galerkin.control.control_sensitivity import sensitivity_of
 from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.statements import AT_BOUND
 from casadi_galerkin.solution.control_trajectory import COST_CHANGE, ControlTrajectory, RemainingError
+from casadi_galerkin.solvers.derivatives import Sensitivity, solved
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 # errors over Newton steps: where the cost is like a fourth power, a step leaves two thirds of the distance
@@ -96,7 +96,7 @@ class SecondOrder:
             found.append(RemainingError(components, of_duration, change if np.isfinite(change) else np.inf))
         return found
 
-    def sensitivity(self, path: ControlTrajectory) -> ControlSensitivity:
+    def sensitivity(self, path: ControlTrajectory) -> Sensitivity:
         """Derivatives of the path by the data of its problem."""
         assert isinstance(self.problem, ControlProblem), "a path of Phases has none"
         return sensitivity_of(self.problem, self.known_graph, self.optimum, path)
@@ -208,22 +208,8 @@ def _newton_step(graph: ControlGraph, at: Optimum) -> np.ndarray:
     rounding = EPS * terms * np.random.default_rng(len(terms)).choice((-1.0, 1.0), len(terms))
     rhs = np.stack((np.append(-report.slope[entries], gaps[rows]), rounding), axis=1)
     steps = np.zeros((2, len(free)))
-    steps[:, free] = _solution(matrix, rhs, added)[: len(entries)].T
+    steps[:, free] = solved(matrix, rhs, added)[0][: len(entries)].T
     return steps
-
-
-def _solution(matrix: ca.DM, rhs: np.ndarray, added: np.ndarray) -> np.ndarray:
-    """Solution of symmetric equations, scaled so that the largest entries of rows and columns are near one.
-
-    `added` is put on the diagonal of the scaled matrix.  Source: D. Ruiz, Report RAL-TR-2001-034 (2001).
-    """
-    row, column = (np.array(index, dtype=int) for index in matrix.sparsity().get_triplet())
-    values, units = np.array(matrix.nonzeros()), np.ones(len(rhs))
-    for _ in range(3):
-        scaled = units[row] * values * units[column]
-        units /= np.sqrt(or_one(largest_of(np.abs(scaled), row, len(rhs))))
-    scaled = ca.DM(matrix.sparsity(), units[row] * values * units[column]) + ca.diag(ca.DM(added))
-    return units[:, None] * ca.solve(scaled, ca.DM(units[:, None] * rhs), "qr", NO_CUTOFF).full()
 
 
 def _distances(values: np.ndarray, multipliers: np.ndarray, bounds: np.ndarray) -> np.ndarray:

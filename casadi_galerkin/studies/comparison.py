@@ -265,6 +265,6 @@ def _condition_global(problem: BoundaryProblem, path: Trajectory) -> float:
     start, end = ([i for i, value in enumerate(side) if value is not None] for side in (problem.start, problem.end))
     if not (start or end):
         return np.nan
-    by_ends = at_joints(problem, path)
-    moved = np.abs(by_ends.start) @ sizes[start] + np.abs(by_ends.end) @ sizes[end]
+    by = at_joints(problem, path).x
+    moved = sum(np.abs(by[name]) @ sizes[given] for name, given in (("start", start), ("end", end)) if given)
     return float(np.max(moved / sizes[:, None]))

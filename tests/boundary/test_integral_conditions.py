@@ -225,8 +225,8 @@ def test_values_of_integrals_are_swept_and_continued():
 def test_derivatives_by_values_and_parameters():
     problem = held(lambda t, x, v, p: p[0] * x[0], lagrangian=lambda t, x, v, p: v[0] ** 2 / 2, parameters=[2.0])
     by = cg.sensitivity(cg.solve(problem, METHOD, 4))
-    np.testing.assert_allclose(by.integral_values[0, :, 0], 3 * by.t * (1 - by.t), rtol=0, atol=CLOSED_FORM)
-    np.testing.assert_allclose(by.parameters[0, :, 0], -1.5 * by.t * (1 - by.t), rtol=0, atol=CLOSED_FORM)
+    np.testing.assert_allclose(by.x["integral_values"][0, :, 0], 3 * by.t * (1 - by.t), rtol=0, atol=CLOSED_FORM)
+    np.testing.assert_allclose(by.x["parameters"][0, :, 0], -1.5 * by.t * (1 - by.t), rtol=0, atol=CLOSED_FORM)
 
 
 @pytest.mark.parametrize(("end", "how"), [(0.0, {"tol": 1e-10}), *slow((0.1, {"tol": 1e-10}), (0.1, {}))])

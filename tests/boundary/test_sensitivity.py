@@ -199,8 +199,8 @@ def test_sensitivity_is_the_jacobian_of_the_function(swing):
     jacobian, found = f.jacobian()(**numbers(path)), cg.sensitivity(path)
     for name in ("start", "end", "parameters"):
         expected = dense(jacobian[f"jac_x_{name}"]).reshape(1, len(path.t), -1)
-        assert getattr(found, name).shape == expected.shape
-        np.testing.assert_allclose(getattr(found, name), expected, rtol=0, atol=AGREEMENT)
+        assert found.x[name].shape == expected.shape
+        np.testing.assert_allclose(found.x[name], expected, rtol=0, atol=AGREEMENT)
     assert found.t is path.t
 
 
@@ -211,34 +211,34 @@ def test_sensitivity_keeps_components_apart():
     problem = cg.BoundaryProblem(lagrangian, (0.0, 0.5), [0.3, 0.1], [None, 0.5], parameters=[0.7])
     path = cg.solve(problem, cg.Galerkin(5), 6)
     found = cg.sensitivity(path)
-    assert (found.start.shape, found.end.shape, found.parameters.shape) == ((2, 7, 2), (2, 7, 1), (2, 7, 1))
-    np.testing.assert_array_equal(found.start[:, 0], np.eye(2))
-    np.testing.assert_array_equal(found.end[1, -1], [1.0])
+    assert [by.shape for by in found.x.values()] == [(2, 7, 2), (2, 7, 1), (2, 7, 1)]
+    np.testing.assert_array_equal(found.x["start"][:, 0], np.eye(2))
+    np.testing.assert_array_equal(found.x["end"][1, -1], [1.0])
     tr = cg.transcribe(problem, path.method, 6)
     for name, data in (("start", [0.3, 0.1]), ("end", [None, 0.5]), ("parameters", [0.7])):
         fixed = [i for i, value in enumerate(data) if value is not None]
         for column, i in enumerate(fixed):
             expected = difference(lambda moved, name=name: tr.solve(guess=path, **{name: moved}).x, data, i)
-            np.testing.assert_allclose(getattr(found, name)[:, :, column], expected, rtol=AGREEMENT, atol=AGREEMENT)
+            np.testing.assert_allclose(found.x[name][:, :, column], expected, rtol=AGREEMENT, atol=AGREEMENT)
 
 
 def test_sensitivity_of_a_path_found_to_a_tolerance():
     path = cg.solve(spring(), tol=1e-10)
     x = np.sin(RATE * path.t) / np.sin(RATE * DURATION)
-    np.testing.assert_allclose(cg.sensitivity(path).end[0, :, 0], x, rtol=0, atol=AGREEMENT)
+    np.testing.assert_allclose(cg.sensitivity(path).x["end"][0, :, 0], x, rtol=0, atol=AGREEMENT)
 
 
 def test_sensitivity_belongs_to_the_data_of_the_path_not_of_the_first_problem():
     tr = cg.transcribe(spring(), cg.Galerkin(8), 10)
     moved = cg.sensitivity(tr.solve(parameters=[1.0, 1.0], mesh=np.linspace(0, 1, 11)))
-    np.testing.assert_allclose(moved.end[0, :, 0], np.sin(moved.t) / np.sin(1), rtol=0, atol=AGREEMENT)
+    np.testing.assert_allclose(moved.x["end"][0, :, 0], np.sin(moved.t) / np.sin(1), rtol=0, atol=AGREEMENT)
 
 
 def test_sensitivity_without_unknowns_is_that_of_the_given_ends():
     found = cg.sensitivity(cg.solve(spring(), cg.Galerkin(1), intervals=1))
-    np.testing.assert_array_equal(found.start[0], [[1.0], [0.0]])
-    np.testing.assert_array_equal(found.end[0], [[0.0], [1.0]])
-    np.testing.assert_array_equal(found.parameters[0], 0)
+    np.testing.assert_array_equal(found.x["start"][0], [[1.0], [0.0]])
+    np.testing.assert_array_equal(found.x["end"][0], [[0.0], [1.0]])
+    np.testing.assert_array_equal(found.x["parameters"][0], 0)
 
 
 def test_sensitivity_refuses_what_is_no_path():
@@ -362,7 +362,7 @@ def coupled(units):
     problem = cg.BoundaryProblem(
         lambda t, x, v: (v[0] / a) ** 2 / 2 + (v[1] / b) ** 2 / 2 + x[0] / a * x[1] / b, (0, 1), [0.0, 0.0], [a, b]
     )
-    by_end = cg.sensitivity(cg.solve(problem, cg.Galerkin(6), 10)).end
+    by_end = cg.sensitivity(cg.solve(problem, cg.Galerkin(6), 10)).x["end"]
     return by_end / np.array(units)[:, None, None] * units
 
 

@@ -341,7 +341,7 @@ def test_over_a_kink_in_x_there_is_no_second_variation():
         cg.solution_function(problem, cg.Galerkin(6), mesh=path.t, guess=path)
     within = cg.solve(replace(problem, t_span=(0.0, 1.0), end=[0.5]), tol=1e-4)
     assert within.morse_index == 0
-    assert cg.sensitivity(within).end[0, -1, 0] == 1
+    assert cg.sensitivity(within).x["end"][0, -1, 0] == 1
 
 
 @pytest.mark.parametrize("named", [(), (np.arctan2(0.7, 1.1),)])
@@ -366,7 +366,7 @@ def test_over_a_step_of_dry_friction_there_are_no_derivatives(named):
         cg.sensitivity(path)
     smooth = cg.sensitivity(cg.solve(stated(lambda v: ca.tanh(1e3 * v)), tol=1e-6))
     late = smooth.t > 1.0
-    np.testing.assert_allclose(smooth.end[0, late, 0], by_velocity(smooth.t[late]) / by_velocity(2.0), rtol=1e-3)
+    np.testing.assert_allclose(smooth.x["end"][0, late, 0], by_velocity(smooth.t[late]) / by_velocity(2.0), rtol=1e-3)
 
 
 @pytest.mark.parametrize("how", [{"method": cg.Galerkin(4), "intervals": 8}, {"tol": 1e-8}])
@@ -380,7 +380,7 @@ def test_rounding_of_a_coordinate_that_does_not_matter_is_no_kink(how):
     path = cg.solve(cg.BoundaryProblem(kepler, (0.0, 2.0), [1.0, 0.0], [1.2, 1.5]), **how)
     assert path.morse_index == 0
     assert path.regularity > 0.1
-    assert np.all(np.isfinite(cg.sensitivity(path).end))
+    assert np.all(np.isfinite(cg.sensitivity(path).x["end"]))
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-9, 1e-12])
