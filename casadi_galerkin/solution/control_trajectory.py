@@ -17,7 +17,7 @@ from casadi_galerkin.problems.statements import FEASIBLE
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.optimal_path import OptimalPath
 from casadi_galerkin.solution.quantity import Quantity
-from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Lines, Trajectory
+from casadi_galerkin.solution.trajectory import UNRESOLVED, Lines, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
 
 # size over that of the largest component below which a component may be an error of the solver only
@@ -305,7 +305,7 @@ class ControlTrajectory(OptimalPath, Trajectory):
             yield from self._above(values, UNRESOLVED, words)
         fraction = self._hamiltonian_change * np.ptp(self.t) / costs
         constant = self.problem.autonomous and not self.problem.hold  # held controls are optimal in the mean only
-        if constant and fraction > UNBALANCED and self.problem.costs:  # without costs it is rounding alone
+        if constant and fraction > UNRESOLVED and self.problem.costs:  # without costs it is rounding alone
             words = f"varies by {fraction:.0e} of the cost; take more intervals"
             yield "NOT RESOLVED:", f"the Hamiltonian, which should be constant, {words}"
 

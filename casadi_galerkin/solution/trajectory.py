@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 Kind = TypeVar("Kind", bound="Answer")
 Lines: TypeAlias = Iterator[tuple[str, str]]  # names and words of lines of a summary
 
-UNBALANCED = 0.1  # relative violation of the balance of energy above which a path is reported as not resolved
-UNRESOLVED = 1e-3  # relative truncation error above which a path is reported as not resolved
+UNRESOLVED = 1e-3  # relative error, or indicator of one, above which a path is reported as not resolved
 
 
 def index_in_words(path: Trajectory) -> str:
@@ -452,7 +451,7 @@ class Trajectory(Answer):
         """A large truncation error, or violation of the balance of energy, as near a singularity."""
         yield from self._unresolved()
         yield from self._above(
-            self._indicators[0], UNBALANCED, "the balance of energy is missed by {:.0e} of its terms {}"
+            self._indicators[0], UNRESOLVED, "the balance of energy is missed by {:.0e} of its terms {}"
         )
 
     def _unresolved(self, limit: float = UNRESOLVED) -> Lines:
