@@ -22,6 +22,7 @@ from casadi_galerkin.boundary.several_paths import (
     Search,
     Symmetry,
     image,
+    resolved,
 )
 from casadi_galerkin.boundary.transcription import GraphCache, Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
@@ -189,22 +190,22 @@ def paths(
     check_kind(problem, BoundaryProblem)
     check_method(method, optional=True)
     check_asked(of, tol)
-    refine = None
     if tol is None:
         transcription = transcribed(problem, method or Galerkin(8), intervals, mesh)
+        accept = partial(resolved, transcription)
     else:
         method, joints = first_discretization(problem, check_tolerance(tol), method, intervals, mesh)
         if intervals is None and mesh is None:
             joints = resized_mesh(joints, SEARCH_INTERVALS_FACTOR * (len(joints) - 1), problem.breakpoints)
         graphs = GraphCache(problem)
-        transcription, refine = graphs.transcription(method, joints), partial(_refined, graphs, tol, of, method)
+        transcription, accept = graphs.transcription(method, joints), partial(_refined, graphs, tol, of, method)
     refuse_free_phase("paths", problem)
     count, images = whole_number("count", count), _checked(symmetries, transcription)
     lengths = _checked_periods(periods, problem)
     searches: list[Search] = []
     for end in _ends(problem, lengths):
         turned = transcription if end is None else transcription.for_problem(problem.varied({"end": end}))
-        search = Search(turned, transcription.mesh, images, lengths, refine)
+        search = Search(turned, transcription.mesh, accept, images, lengths)
         try:
             search.run(count - sum(len(each.paths) for each in searches))
         except ConvergenceError:

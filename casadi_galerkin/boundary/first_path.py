@@ -153,7 +153,7 @@ def _by_random_guesses(
         resolved = intermediate_path(graphs, point.polynomial)
         return graphs.transcription(method, resolved.polynomial.mesh).trajectory(resolved, 0.0)
 
-    search = Search(graphs.transcription(method, mesh), mesh, refine=refined)
+    search = Search(graphs.transcription(method, mesh), mesh, refined)
     found = search.run(1)[0]
     graphs.iterations += search.iterations
     return graphs.solve(method, found.t, found, solver)

@@ -1,14 +1,13 @@
 """The search by which `paths` finds several stationary paths on one mesh, without a guess.
 
-Curves of loaded paths are followed from the paths found so far (`solvers.curve`).  Newton's method from random guesses,
-even with deflation of the known paths, was measured to find 5 of 13 geodesics on a torus in 100 solves; with the curves
-all are found in 4 to 25.  Until a path is found, curves begin at random smooth guesses: at first a load makes one an
-equilibrium, and the load is then removed.  Where Newton's method from the straight line failed, 20 of 23 random
-problems of up to three components were solved in this way, and 5 by Newton's method from as many random guesses.  Near
-a stationary path, the curve is left, and Newton's method of the package finds and verifies the path.
+Curves of loaded paths are followed (`solvers.curve`), in turn from a known path, where the load begins to grow, to
+either side; and from a random smooth guess around one, which a load makes an equilibrium at first.  Where the load is
+zero there is a path; the curve is left there, and Newton's method of the package finds and verifies it.  Of Carrier's
+16 paths, growing loads alone found all from 2 of 5 seeds, both together from 9 of 10; and Newton's method from random
+guesses, even with deflation of the known paths, 5 of 13 geodesics on a torus in 100 solves.
 
 Under a constraint a growing load holds every node of the path where it pulls to, on a closed surface for ever, and the
-curves do not come back.  There all curves begin at guesses around the known paths, moved onto the constraint.
+curves do not come back.  There all curves begin at guesses, moved onto the constraint.
 
 A discrete action also has critical points that are not paths, such as zigzags of a coarse mesh.  And where the paths of
 a problem form a family, it has single critical points in its place.  So a critical point is dropped where a higher
@@ -17,10 +16,8 @@ degree or the error indicators show a large error, and where its second variatio
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from itertools import cycle
 
 import casadi as ca
 import numpy as np
@@ -50,14 +47,8 @@ RESOLVED_ERROR = 0.05  # largest estimated relative error of a path; that of zig
 # a second variation counts as zero below the former, and below the latter times the estimated error; regular ones are
 # above 1e-2
 SINGULAR_BELOW, SINGULAR_BELOW_ERRORS = 1e-3, 10.0
-# amplitudes of guesses until a path is found, in turn: small ones lead to paths of less action and a smaller index
-AMPLITUDES = 2.0 ** np.arange(-2, 6)
+AMPLITUDES = 0.5, 1.0, 2.0  # of guesses: small ones lead to paths of less action and a smaller index
 PROJECTION_ITERATIONS = 30  # most iterations to move a guess onto the constraint
-NEAR_AMPLITUDES = (
-    2.0,
-    1.0,
-    0.5,
-)  # amplitudes there around a known path: large ones lead away from it, small ones to neighbors
 RESOLVED_BY = "a higher degree or more intervals may"
 NO_PATH = (
     "There may be no path between these ends in this time; else give cg.solve a guess nearer to it, or come from an "
@@ -81,9 +72,9 @@ class Search:
     Parameters
     ----------
     transcription, mesh
+    accept : makes a path of a critical point, or raises: a ConjugatePointError where it belongs to a family
     symmetries : images under them count as the same path
     periods : (d,), components that differ by these count as the same; infinite where a component has none
-    refine : makes the path of a critical point on this mesh one to a tolerance, or raises; None leaves it as it is
 
     Attributes
     ----------
@@ -94,18 +85,18 @@ class Search:
         self,
         transcription: Transcription,
         mesh: np.ndarray,
+        accept: Callable[[CriticalPoint], Trajectory],
         symmetries: tuple[Symmetry, ...] = (),
         periods: np.ndarray | None = None,
-        refine: Callable[[CriticalPoint], Trajectory] | None = None,
     ) -> None:
         self.transcription, self.stationarity, self.mesh = transcription, transcription.stationarity, mesh
-        self.symmetries, self.refine, self.random = symmetries, refine, np.random.default_rng(SEED)
+        self.symmetries, self.accept = symmetries, accept
         self.periods = np.full(transcription.problem.dimension, np.inf) if periods is None else periods
-        self.amplitudes = cycle(AMPLITUDES)
         self.data = transcription.data(mesh)
-        self.found: list[tuple[Trajectory, np.ndarray]] = []  # with their unknowns
+        self.paths = list[Trajectory]()
+        self.begun: list[np.ndarray] = []  # their unknowns on this mesh
         self.known: list[np.ndarray] = []  # node values of all critical points and their images, also of those dropped
-        self.solves = self.curves = self.unresolved = self.singular = self.iterations = 0
+        self.solves = self.unresolved = self.singular = self.iterations = 0
         self.failure: ConvergenceError | None = None
         self.parts = DiscreteCalculus(transcription.method, mesh).node_parts
         self.measure(transcription.guess_on_mesh(None, mesh).values)
@@ -123,25 +114,27 @@ class Search:
         """Search until `count` paths are found, or `SOLVES_WITHOUT_A_PATH` in succession have found no new one."""
         last = 0
         with progress("paths", count, "path") as advance:
-            while len(self.found) < count and self.solves - last < SOLVES_WITHOUT_A_PATH:
+            while len(self.paths) < count and self.solves - last < SOLVES_WITHOUT_A_PATH:
                 self.solves += 1
-                known, began = len(self.found), time.perf_counter()
+                known = len(self.paths)
                 with suppress(SolveFailure):
                     for solution in self.attempt():
-                        self.consider(solution, time.perf_counter() - began)
-                        if len(self.found) == count:
+                        self.consider(solution)
+                        if len(self.paths) == count:
                             break
-                if len(self.found) > known:
+                if len(self.paths) > known:
                     last = self.solves
-                advance(len(self.found) - known)
+                advance(len(self.paths) - known)
                 if seconds_left() < 0:
                     break
-        if not self.found:
+        if not self.paths:
             raise self.no_path_error() from self.failure and self.failure.__cause__
-        return sorted(self.paths, key=lambda path: path.action)
+        return self.paths
 
     def attempt(self) -> Iterator[Solution]:
         """Verified critical points of the next solve, which may be known already."""
+        turn, side = divmod(self.solves, 3)
+        loaded = bool(self.paths) and self.transcription.problem.constraint is None
         if self.solves == 1:
             try:
                 yield self.transcription.critical_point(mesh=self.mesh).solution
@@ -151,24 +144,21 @@ class Search:
                 self.singular += isinstance(failure, ConjugatePointError)
         elif not self.transcription.numbering.positions:
             return  # without free positions there is no other guess, and no load
-        elif not self.found:
-            yield from self.along_residual_load(next(self.amplitudes))
-        elif self.transcription.problem.constraint is not None:
-            base = self.values(self.found[self.solves % len(self.found)][1])
-            for amplitude in NEAR_AMPLITUDES:
-                yield from self.along_residual_load(amplitude, base)
+        elif loaded and side:
+            yield from self.along_a_load(turn, -1.0 if side == 1 else 1.0)
         else:
-            yield from self.along_a_load()
+            base = self.values(self.begun[turn % len(self.begun)]) if self.begun else 0.0
+            for amplitude in AMPLITUDES[turn % 3 :: 3] if loaded else AMPLITUDES:
+                values = base + amplitude * self.smooth(self.solves)
+                guess = self.on_constraint(self.transcription.guess_on_mesh(values, self.mesh).values)
+                curve = residual_load_curve(self.stationarity, self.unknowns(guess), self.data)
+                yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
+                self.iterations += curve.iterations
 
-    def smooth(self) -> np.ndarray:
-        """Random smooth function at the nodes, of the size of each component; (d, N m + 1)."""
+    def smooth(self, number: int) -> np.ndarray:
+        """The random smooth function of a number at the nodes, of the size of each component; (d, N m + 1)."""
         period = 1.0 if self.transcription.problem.periodic else 2.0
-        return waves(self.random, self.component_sizes, period)(self.parts)
-
-    def guess(self, amplitude: float, base: np.ndarray | float = 0.0) -> np.ndarray:
-        """Unknowns of a random guess around a path, or around the straight line."""
-        values = base + amplitude * self.smooth()
-        return self.unknowns(self.on_constraint(self.transcription.guess_on_mesh(values, self.mesh).values))
+        return waves(np.random.default_rng([SEED, number]), self.component_sizes, period)(self.parts)
 
     def on_constraint(self, values: np.ndarray) -> np.ndarray:
         """Node values moved onto the constraint, at right angles to it, and those of given ends as they were."""
@@ -187,23 +177,14 @@ class Search:
         values[:, [0, -1]] = np.where(fixed, given[:, [0, -1]], values[:, [0, -1]])
         return np.where(np.isfinite(values), values, given)
 
-    def along_residual_load(self, amplitude: float, base: np.ndarray | float = 0.0) -> Iterator[Solution]:
-        """All paths on the curve from a random guess, which a load makes an equilibrium, as the load is removed."""
-        curve = residual_load_curve(self.stationarity, self.guess(amplitude, base), self.data)
-        yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
-        self.iterations += curve.iterations
-
-    def along_a_load(self) -> Iterator[Solution]:
-        """All paths on a curve of loaded paths: to one side of a known path, and in the next solve to the other."""
-        again = self.curves % 2
-        if not again:
-            self.start, self.begun = self.found[self.curves // 2 % len(self.found)]
-            self.load = self.unknowns(self.smooth()) / self.sizes**2
-        self.curves += 1
-        values, report = self.start.polynomial.values, f"Newton, along a load from action {self.start.action:.6g}"
-        curve = LoadedCurve(self.stationarity, self.data, np.append(self.begun, 0.0), self.sizes, self.load)
-        for solution in curve.stationary_paths(-1.0 if again else 1.0, report):
-            if self.same(self.values(solution.unknowns), values):
+    def along_a_load(self, turn: int, side: float) -> Iterator[Solution]:
+        """All paths on a curve of loaded paths, to one side of a known path."""
+        number = turn % len(self.paths)
+        begun, report = self.begun[number], f"Newton, along a load from action {self.paths[number].action:.6g}"
+        load = self.unknowns(self.smooth(turn)) / self.sizes**2
+        curve = LoadedCurve(self.stationarity, self.data, np.append(begun, 0.0), self.sizes, load)
+        for solution in curve.stationary_paths(side, report):
+            if self.same(self.values(solution.unknowns), self.values(begun)):
                 return  # the curve is closed
             yield solution
 
@@ -219,38 +200,23 @@ class Search:
         apart -= np.where(np.isfinite(self.periods), turns, 0.0)[:, None]
         return bool(np.max(np.abs(apart) / self.component_sizes[:, None]) < distance)
 
-    @property
-    def paths(self) -> list[Trajectory]:
-        """The paths found so far."""
-        return [path for path, _ in self.found]
-
-    def consider(self, solution: Solution, seconds: float) -> None:
-        """Keep a critical point if it is new and regular, and its error is small."""
+    def consider(self, solution: Solution) -> None:
+        """Keep a critical point if it is new and accepted, and not on the way to a path that another one has led to."""
         if not self.is_new(solution.unknowns):
             return
-        point = self.transcription.point(solution)
         try:
-            path = self.transcription.trajectory(point, seconds) if self.refine is None else self.refine(point)
+            path = self.accept(self.transcription.point(solution))
         except ConvergenceError as failure:
             self.failure = self.failure or failure
             self.singular += isinstance(failure, ConjugatePointError)
-            self.unresolved += self.refine is not None and not isinstance(failure, ConjugatePointError)
+            self.unresolved += not isinstance(failure, ConjugatePointError)
             return
-        error = path.estimate_error()
-        if self.refine is not None:  # two critical points of the coarse mesh may lead to one path
-            here, *others = (each(each.t[0] + self.parts * np.ptp(each.t)) for each in (path, *self.paths))
-            if any(self.same(here, other, max(SAME_PATH, 10 * error)) for other in others):
-                return
-        elif smallest_second_variation(self.stationarity, solution.unknowns, self.data) < min(
-            SINGULAR_BELOW, SINGULAR_BELOW_ERRORS * error
-        ):
-            self.singular += 1  # of a family, of which the discrete action has single critical points
+        here, *others = (each(each.t[0] + self.parts * np.ptp(each.t)) for each in (path, *self.paths))
+        if any(self.same(here, other, SAME_PATH + 10 * path.estimate_error()) for other in others):
             return
-        if not error <= RESOLVED_ERROR:
-            self.unresolved += 1
-            return
-        self.found.append((path, solution.unknowns))
-        self.measure(*(self.values(unknowns) for _, unknowns in self.found))
+        self.paths.append(path)
+        self.begun.append(solution.unknowns)
+        self.measure(*map(self.values, self.begun))
 
     def is_new(self, unknowns: np.ndarray) -> bool:
         """Record a critical point with its images under the symmetries; whether none of them was known."""
@@ -265,8 +231,8 @@ class Search:
 
     def no_path_error(self) -> ConvergenceError:
         """The error that says why there is no path."""
-        began = self.failure or ConvergenceError("a path of a family, or between conjugate points, was found")
-        kind, why = ConvergenceError, f"; from the straight line, {began}"
+        began, kind, why = self.failure, ConvergenceError, f"; from the straight line, {self.failure}"
+        assert began is not None
         if self.unresolved:
             dropped = counted(self.unresolved, "critical point")
             why = f", but {dropped} of the discrete action that the mesh does not resolve; {RESOLVED_BY}. {NO_PATH}"
@@ -275,3 +241,16 @@ class Search:
         return kind(
             f"no path was found in {counted(self.solves, 'solve')}{why}", began.path, began.residual, self.iterations
         )
+
+
+def resolved(transcription: Transcription, point: CriticalPoint) -> Trajectory:
+    """The path of a critical point; refuses one that the mesh does not resolve, or that belongs to a family."""
+    graph, solution = transcription.for_problem(point.problem), point.solution
+    path = graph.trajectory(point, 0.0)
+    error = path.estimate_error()
+    curvature = smallest_second_variation(graph.stationarity, solution.unknowns, solution.data)
+    if curvature < min(SINGULAR_BELOW, SINGULAR_BELOW_ERRORS * error):
+        raise ConjugatePointError("a path of a family, or between conjugate points, was found", path)
+    if not error <= RESOLVED_ERROR:
+        raise ConvergenceError(f"the mesh does not resolve the path: its error is {error:.0e}", path)
+    return path

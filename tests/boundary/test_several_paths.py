@@ -1,6 +1,7 @@
 """All stationary paths that are known are found without a guess, none twice, and none that the mesh invents."""
 
 import time
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -11,7 +12,7 @@ from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary import several_paths
-from casadi_galerkin.boundary.several_paths import Search
+from casadi_galerkin.boundary.several_paths import Search, resolved
 from casadi_galerkin.solvers.curve import LoadedCurve
 from casadi_galerkin.solvers.deadline import until
 
@@ -233,7 +234,7 @@ def test_without_a_path_the_search_says_how_often_it_tried():
 def test_a_search_ends_when_the_time_is_up():
     problem = cg.BoundaryProblem(bratu(4.0), (0, 1), [0.0], [0.0])
     transcription = cg.transcribe(problem, cg.Galerkin(8), 10)
-    search = Search(transcription, transcription.mesh)
+    search = Search(transcription, transcription.mesh, partial(resolved, transcription))
     with until(time.perf_counter()), pytest.raises(cg.ConvergenceError, match="no path was found in 1 solve; from"):
         search.run(1)
 
