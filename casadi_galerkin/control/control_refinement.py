@@ -5,8 +5,8 @@ see `two_comparisons`, which also proposes the next mesh.  Estimated are the rel
 the largest error of x at the joints and between them, relative to the size of its component.  The error of the control
 is not estimated, nor is it known whether the optimum is the global one.
 
-Where the solver finds no path, it tries again with every interval halved.  Where one of the others is not found, there
-is no error estimate, and the next mesh has every interval halved.
+Where the solver finds no path, it tries again with every interval halved and the guess with which all began.  Where one
+of the others is not found, there is no error estimate, and the next mesh has every interval halved.
 """
 
 from __future__ import annotations
@@ -93,6 +93,7 @@ class ControlRefinement(Refinement[Any, Any]):
     found: ControlTrajectory | None = None  # the last path
     known: TwoComparisons | None = None  # the last error estimate, or None where there was none
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
+    guess: Guess | None = None  # with which the refinement began
     solver_error_prevails = False  # whether the remaining solver error was the largest error of the last level
 
     def __init__(
@@ -163,14 +164,14 @@ class ControlRefinement(Refinement[Any, Any]):
         return path
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
-        """The path on a mesh or, where none is found, on one twice as fine."""
+        """The path on a mesh or, where none is found, from the first guess on one twice as fine."""
         try:
             return self.solve(self.method, mesh, guess)
         except ConvergenceError:
             finer = halved(mesh)
-            if self.out_of_time() or len(finer) - 1 > self.limits.intervals or not fits_any_mesh(guess):
+            if self.out_of_time() or len(finer) - 1 > self.limits.intervals or not fits_any_mesh(self.guess):
                 raise
-        return self.solve(self.method, finer, guess)
+        return self.solve(self.method, finer, self.guess)  # a path on a coarse mesh may be far from any on a finer one
 
     def estimate(self, level: ControlTrajectory) -> Estimate[TwoComparisons | None]:
         """The error estimated from paths of higher degree, as far as it is needed: one that is too large is enough."""
@@ -246,6 +247,7 @@ class ControlRefinement(Refinement[Any, Any]):
         """
         if isinstance(guess, ControlTrajectory):
             guess = replace(guess, problem=without_idle_breakpoints(guess.problem))
+        self.guess = guess
         try:
             with until((self.began + self.deadline) / 2):  # as long as what follows
                 optima, summary = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
