@@ -217,9 +217,10 @@ class ControlRefinement(Refinement[Any, Any]):
             raise self.stopped(f"the remaining solver error of {what} is {left:.0e} of its size", *self.best, hint)
 
     def solve_on(self, mesh: np.ndarray, level: ControlTrajectory) -> ControlTrajectory:
-        """Solve from the better path."""
+        """Solve from the better path or, where a path is not confirmed by another one, from where all began."""
+        begun = self.guess if fits_any_mesh(self.guess) else level
         try:
-            return self.solve_finer(mesh, level if self.known is None else self.known.better)
+            return self.solve_finer(mesh, begun if self.known is None else self.known.better)
         except ConvergenceError as failure:
             raise self.stopped(str(failure), *self.best) from failure
 
