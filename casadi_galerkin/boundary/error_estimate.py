@@ -18,8 +18,6 @@ from casadi_galerkin.functional.numbering import Data
 LEAST_AGREEMENT = 0.95  # agreement below which a given mesh does not resolve the variations
 LARGEST_RATIO = 0.9  # largest ratio of two Newton steps with which their geometric series is summed
 RESPONSE_FORCES = 3  # number of forces with which two degrees are compared: with one alone they may agree by chance
-SMALL_RESPONSE = 1e-6  # responses below this part of the largest mean response count as this part of it
-ROUNDING_RMS = 0.2  # root mean square of the error of rounding to the nearest double, over eps
 
 
 def discretization_error(
@@ -86,7 +84,7 @@ def agreement(
 
     It is the smallest ratio, over all forces and components, of the mean responses over the nodes.  Means are taken
     because single responses may be large in a layer that the path itself does not have.  A small mean counts as
-    `SMALL_RESPONSE` times the largest.  `of_higher` and `refined` are those of `discretization_error`.
+    √eps times the largest.  `of_higher` and `refined` are those of `discretization_error`.
     """
     if not graph.numbering.positions:
         return 1.0  # nothing can vary
@@ -101,7 +99,7 @@ def agreement(
     if not (np.isfinite(of_lower.values).all() and np.isfinite(of_higher.values).all()):
         return 0.0  # one of the Hessians is singular
     means = np.array([np.mean(np.abs(values), axis=1) for values in (of_lower.at(of_higher.nodes), of_higher.values)])
-    means = np.maximum(means, SMALL_RESPONSE * np.max(means) + TINY)
+    means = np.maximum(means, EPS**0.5 * np.max(means) + TINY)
     return float(np.min(means.min(axis=0) / means.max(axis=0)))
 
 
@@ -131,12 +129,12 @@ def _joined(graph: BoundaryGraph, path: PiecewisePolynomial, steps: list[np.ndar
 def roundoff_error(graph: BoundaryGraph, unknowns: np.ndarray, data: Data) -> float:
     """Estimate the roundoff error of a path, relative to the size of its components.
 
-    It is the root mean square, over a few choices of random signs, of the largest |∇²S⁻¹ r|, where r is an error of
-    every equation of `ROUNDING_RMS` times eps times the sizes of its terms (`Linearization.rounding_effects`).
+    It is the root mean square, over a few random r, of the largest |∇²S⁻¹ r|, where r is an error of every equation by
+    rounding of its terms (`Linearization.rounding_effects`).
     """
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
-        moved = ROUNDING_RMS * at.rounding_effects(unknowns, data)
+        moved = at.rounding_effects(unknowns, data)
     largest = np.max(np.abs(moved) / graph.stationarity.sizes(unknowns, data), axis=1)
     floor = float(np.sqrt(np.mean(largest**2))) + EPS
     return floor if math.isfinite(floor) else math.inf

@@ -25,7 +25,6 @@ NEIGHBOR_RATIO = 8.0
 FEWEST = 4  # least number of intervals of a new mesh
 LEAST_INTERVALS_GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
 LOW_DEGREE = 8  # below this degree errors are estimated with four degrees more, from it on with two more
-RESOLVING_MESHES = 10  # most meshes that are tried until one resolves a function
 ERROR_TARGET = 0.3  # a new mesh aims at this part of the tolerance
 
 
@@ -170,7 +169,7 @@ def resolving_interpolant(
     most: int,
     breakpoints: tuple[float, ...] = (),
 ) -> PiecewisePolynomial:
-    """Interpolate a function on a mesh that resolves it to a tolerance, or on the last of `RESOLVING_MESHES`.
+    """Interpolate a function on a mesh that resolves it to a tolerance, or on the first that has more than so many.
 
     Parameters
     ----------
@@ -181,11 +180,7 @@ def resolving_interpolant(
     breakpoints : increasing times inside that are joints
     """
     path = interpolated(mesh)
-    for _ in range(RESOLVING_MESHES):
-        error = truncation_error(path)
-        if np.max(error) <= tol or len(path.mesh) > most:
-            break
-        path = interpolated(
-            equidistributed(path.mesh, parts_wanted(error, path.degree + 1, tol), breakpoints=breakpoints)
-        )
+    while np.max(error := truncation_error(path)) > tol and len(path.mesh) <= most:
+        parts = parts_wanted(error, path.degree + 1, tol)
+        path = interpolated(equidistributed(path.mesh, parts, len(path.mesh), breakpoints))
     return path

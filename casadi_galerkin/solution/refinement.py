@@ -22,7 +22,6 @@ from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import Trajectory
 
-SHORT_INTERVAL = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
 # distance over the duration within which a breakpoint may be the cause of an error that stays
 BREAKPOINT_DISTANCE = 1e-2
 HINT = "Try a looser tolerance, a guess nearer to the path, or higher limits"
@@ -205,7 +204,7 @@ class Refinement(ABC, Generic[Level, Detail]):
             return
         needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
         shortest = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], duration)}"
-        source = f"estimated from {estimate.source}{shortest if steps[i] < SHORT_INTERVAL * duration else ''}"
+        source = f"estimated from {estimate.source}{shortest if few else ''}"
         reason = f"the mesh would need {needs} for an error of {estimate.error:.1e}, {source}"
         raise self.stopped(reason, *self.best)
 

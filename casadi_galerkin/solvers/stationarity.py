@@ -31,7 +31,7 @@ from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 Built = TypeVar("Built")
 
 ACCEPTED = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
-SIGN_SAMPLES = 4  # number of random choices of the signs of rounding errors for an estimate of their effect
+ROUNDING_SAMPLES = 4  # number of random choices of rounding errors for an estimate of their effect
 
 
 class Iterate(NamedTuple):
@@ -289,11 +289,11 @@ class Linearization:
         return [y + correction for y, correction in zip(solutions, self.solve(*residuals), strict=True)]
 
     def rounding_effects(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Changes of the unknowns by rounding of the terms of ∇S at a point, by eps and with random signs.
+        """Changes of the unknowns by rounding of the terms of ∇S at a point, at random up to half of eps.
 
         ∇²S must be that at the point.  Terms may cancel within the derivatives of L, which do not tell their sizes.  So
         those of each component are taken to be as large as the other components' at the same node, with forces measured
-        by the square roots of stiffnesses.  Returns a change for each of `SIGN_SAMPLES` choices of the signs, (·, n).
+        by the square roots of stiffnesses.  Returns a change for each of `ROUNDING_SAMPLES` samples, (·, n).
         """
         linear, terms = self.stationarity.linear_solver, self.evaluate("summary", unknowns, data)[3]
         numbering, positions = linear.numbering, linear.numbering.positions
@@ -302,8 +302,8 @@ class Linearization:
         shared = np.max(np.divide(shared, stiffness, out=np.zeros(shared.shape), where=stiffness > 0), axis=1)
         of_others = stiffness[numbering.component[:positions]] * shared[numbering.place // numbering.dimension]
         terms[:positions] = np.fmax(terms[:positions], of_others)
-        signs = np.random.default_rng(len(terms)).choice((-EPS, EPS), (SIGN_SAMPLES, len(terms)))
-        return np.array(self.solve(*(signs * terms)))
+        rounded = np.random.default_rng(len(terms)).uniform(-EPS / 2, EPS / 2, (ROUNDING_SAMPLES, len(terms)))
+        return np.array(self.solve(*(rounded * terms)))
 
 
 def _evaluator(build: Callable[[str], ca.Function], name: str) -> Evaluator:
