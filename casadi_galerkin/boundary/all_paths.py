@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PATHS_SHOWN = 6  # paths in a repr
-PERIOD_CHECKS = 8  # at which a period is checked
 # factor on the intervals with which a refinement begins, for a search: with one, zigzags took the time
 SEARCH_INTERVALS_FACTOR = 2
 CANDIDATE_LIMITS = Limits(
@@ -281,24 +280,22 @@ def _checked_periods(periods: Sequence[float | None] | None, problem: BoundaryPr
 
 
 def _check_period(problem: BoundaryProblem, i: int, period: float) -> None:
-    """Refuse a period after which some part of the problem is another one, seen at random places."""
+    """Refuse a period after which some part of the problem is another one, seen at a random place."""
     random = np.random.default_rng(SEED)
     for name in ("lagrangian", "force", "constraint", "end_action", "end_conditions"):
         function = with_parameters(getattr(problem, name), problem.parameters)
         if function is None:
             continue
-        of_ends = name.startswith("end")
-        for _ in range(PERIOD_CHECKS):
-            here = [random.normal(size=function.size1_in(k)) for k in range(function.n_in())]
-            there = [values.copy() for values in here]
-            for k in (0, 1) if of_ends else (1,):
-                there[k][i] += period
-            one, other = (np.array(function(*values)) for values in (here, there))
-            if np.any(np.abs(one - other) > SAME_PATH * (np.abs(one) + 1)):
-                raise ValueError(
-                    f"periods[{i}] = {period:g} is no period of the problem: its {name} is another one where x[{i}] is "
-                    f"{period:g} larger"
-                )
+        here = [random.normal(size=function.size1_in(k)) for k in range(function.n_in())]
+        there = [values.copy() for values in here]
+        for k in (0, 1) if name.startswith("end") else (1,):
+            there[k][i] += period
+        one, other = (np.array(function(*values)) for values in (here, there))
+        if np.any(np.abs(one - other) > SAME_PATH * (np.abs(one) + 1)):
+            raise ValueError(
+                f"periods[{i}] = {period:g} is no period of the problem: its {name} is another one where x[{i}] is "
+                f"{period:g} larger"
+            )
 
 
 def _checked(symmetries: Sequence[Symmetry], transcription: Transcription) -> tuple[Symmetry, ...]:

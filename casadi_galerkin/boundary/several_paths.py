@@ -33,7 +33,7 @@ from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceErro
 from casadi_galerkin.solution.guess import waves
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.curve import LoadedCurve, residual_load_curve
+from casadi_galerkin.solvers.curve import CORRECTOR_ITERATIONS, LoadedCurve, residual_load_curve
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
@@ -44,11 +44,10 @@ SOLVES_WITHOUT_A_PATH = 20  # solves in succession without a new path after whic
 SEED = 0  # of the random guesses and loads, so that repeated searches give the same paths
 SAME_PATH = 1e-6  # largest distance of node values, in sizes of the component, at which two paths count as one
 RESOLVED_ERROR = 0.05  # largest estimated relative error of a path; that of zigzags is about one
-# a second variation counts as zero below the former, and below the latter times the estimated error; regular ones are
-# above 1e-2
-SINGULAR_BELOW, SINGULAR_BELOW_ERRORS = 1e-3, 10.0
+SINGULAR_BELOW = (
+    1e-3  # a second variation counts as zero below it, and below the root of the error; others are above 1e-2
+)
 AMPLITUDES = 0.5, 1.0, 2.0  # of guesses: small ones lead to paths of less action and a smaller index
-PROJECTION_ITERATIONS = 30  # most iterations to move a guess onto the constraint
 RESOLVED_BY = "a higher degree or more intervals may"
 NO_PATH = (
     "There may be no path between these ends in this time; else give cg.solve a guess nearer to it, or come from an "
@@ -167,11 +166,10 @@ class Search:
             return values
         t, x = ca.SX.sym("t"), ca.SX.sym("x", problem.dimension)
         off = with_parameters(problem.constraint, problem.parameters)(t, x)
-        normals = ca.jacobian(off, x)
-        step = ca.mtimes(normals.T, ca.solve(ca.mtimes(normals, normals.T), off))
+        step = ca.mtimes(ca.pinv(ca.jacobian(off, x)), off)
         moved = ca.Function("moved", [t, x], [x - step]).map(values.shape[1])
         times, given = self.mesh[0] + self.parts * (self.mesh[-1] - self.mesh[0]), values
-        for _ in range(PROJECTION_ITERATIONS):
+        for _ in range(CORRECTOR_ITERATIONS):
             values = np.array(moved(times[None, :], values))
         fixed = ~np.isnan(problem.given_positions.T)
         values[:, [0, -1]] = np.where(fixed, given[:, [0, -1]], values[:, [0, -1]])
@@ -249,7 +247,7 @@ def resolved(transcription: Transcription, point: CriticalPoint) -> Trajectory:
     path = graph.trajectory(point, 0.0)
     error = path.estimate_error()
     curvature = smallest_second_variation(graph.stationarity, solution.unknowns, solution.data)
-    if curvature < min(SINGULAR_BELOW, SINGULAR_BELOW_ERRORS * error):
+    if curvature < min(SINGULAR_BELOW, error**0.5):
         raise ConjugatePointError("a path of a family, or between conjugate points, was found", path)
     if not error <= RESOLVED_ERROR:
         raise ConvergenceError(f"the mesh does not resolve the path: its error is {error:.0e}", path)

@@ -35,7 +35,7 @@ from casadi_galerkin.solvers.newton import POLISHING, Solution, SolveFailure, da
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity
 
 CORRECTOR_ITERATIONS = 10  # most iterations of Newton's method in one correction
-STEP_GROWTH, STEP_REDUCTION = 1.5, 0.5  # factors on the step after a correction, and after one that failed
+STEP_GROWTH = 1.5  # factor on the step after a correction; one over its square after one that failed
 LOAD_COSINE = 0.7  # measured on searches for several paths: without this limit of the angle some took 3 times as long
 FIRST_STEP, MOST_STEPS = 0.1, 300  # arc length in units of the weights; nobody knows how long a curve is
 FARTHEST_LOAD = 1e3  # arc length from where a curve of loads begins, in sizes of the path
@@ -171,7 +171,7 @@ class Curve(Generic[At]):
             if seconds_left() < 0:
                 return
             found = self.taken(point, step)
-            step = min(step * (STEP_REDUCTION if found is None else STEP_GROWTH), self.longest_step)
+            step = min(step * STEP_GROWTH ** (-2 if found is None else 1), self.longest_step)
             if found is not None:
                 yield found
                 point = found
