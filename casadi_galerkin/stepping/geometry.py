@@ -188,6 +188,4 @@ def jacobians(path: Trajectory, problem: Problem) -> np.ndarray:
     stepper = Stepper(problem, path.method)
     slopes = path.polynomial.at_parts(stepper.basis.points)[1]
     s = (slopes * np.diff(path.t)[:, None]).transpose(1, 0, 2)
-    if problem.constraint is not None:
-        s = stepper.unknowns(path.t, path.x, path.momentum, s)
-    return stepper.jacobians(path.t, path.x, path.momentum, s)
+    return stepper.jacobians(path.t, path.x, path.momentum, stepper.unknowns(path.t, path.x, path.momentum, s))

@@ -114,11 +114,8 @@ class Stepper:
 
         With its derivative, too, large steps found other solutions.
         """
-        d, sizes = (
-            self.dimension,
-            {"x": self.dimension, "p": self.dimension, "velocity": self.dimension, "t": 1, "h": 1},
-        )
-        x, p, velocity, t, h = (ca.MX.sym(name, size) for name, size in sizes.items())
+        d = self.dimension
+        x, p, velocity, t, h = (ca.MX.sym("at", size) for size in (d, d, d, 1, 1))
         guess = ca.repmat(h * velocity, 1, self._shape[1])  # with constraints the velocity of the end is one
         impulses = ca.MX(self._shape[0] - d, self._shape[1])
         s, iterations = newton(ca.densify(ca.vertcat(guess, impulses)), x, p, t, h)
@@ -150,7 +147,8 @@ class Stepper:
         Nothing is raised: where a step fails, `Roll.residual` is large or not finite.
         """
         d, n = self.dimension, len(mesh) - 1
-        size, t, h = _pieces(mesh)
+        size = 1 + math.isqrt(n - 1)  # of a piece; the last interval is repeated to fill the last piece
+        t, h = (np.pad(array, (0, -n % size), mode="edge") for array in (mesh[:-1], np.diff(mesh)))
         piece = self._evaluator("roll", size)
         state, found = (x, p, velocity), []
         for i in range(0, len(h), size):
@@ -187,10 +185,3 @@ class Stepper:
         columns = (a.ravel() for a in (unknowns.transpose(0, 2, 1), x[:, :n].T, p[:, :n].T))
         (matrices,) = self._evaluator("jacobians", n)(*columns, mesh[:-1], np.diff(mesh))
         return matrices.reshape(n, 2 * d, 2 * d).transpose(0, 2, 1)
-
-
-def _pieces(mesh: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-    """Intervals per piece, and start times and lengths of all; the last one is repeated to fill the last piece."""
-    size = 1 + math.isqrt(len(mesh) - 2)
-    pad = (0, (1 - len(mesh)) % size)
-    return size, np.pad(mesh[:-1], pad, mode="edge"), np.pad(np.diff(mesh), pad, mode="edge")
