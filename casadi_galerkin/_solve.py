@@ -185,8 +185,8 @@ def solve(
     if solver is None:
         solver = newton if isinstance(problem, BoundaryProblem) else ipopt
     if tolerance is not None:
-        find = _refinement(problem, method, intervals, mesh, tolerance, of, limits, one_by_one, starts)
-        path: Trajectory | PhasesTrajectory = find(problem, guess, None, solver, verbose)
+        given = problem, tolerance, method, intervals, mesh, limits or Limits(), of
+        path: Any = _refinement(*given, mapping=one_by_one, starts=starts)(problem, guess, None, solver, verbose)
         if verbose:
             print(path)
         return path
@@ -209,22 +209,11 @@ def _graph(
     return build(problem, _given(method), mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)
 
 
-def _refinement(
-    problem: Any,
-    method: Galerkin | None,
-    intervals: Any,
-    mesh: ArrayLike | None,
-    tol: float,
-    of: Quantity | None,
-    limits: Limits | None,
-    mapping: PointMap = by_rows,
-    starts: int = 1,
-) -> Callable[..., Any]:
+def _refinement(problem: Any, *given: Any, mapping: PointMap = by_rows, starts: int = 1) -> Callable[..., Any]:
     """Refuse what does not fit; a function (problem, guess, first path, solver, verbose) -> path to the tolerance."""
-    given = problem, tol, method, intervals, mesh, limits or Limits(), of
     if isinstance(problem, BoundaryProblem):
-        return RepeatedRefinement(*given, mapping).found
-    return RepeatedOptimization(*given, starts).found
+        return RepeatedRefinement(problem, *given, mapping=mapping).found
+    return RepeatedOptimization(problem, *given, starts=starts).found
 
 
 def _given(method: Galerkin | None) -> Galerkin:
@@ -418,7 +407,7 @@ def transcribe(
         return _graph(problem, method, intervals, mesh)
     if isinstance(problem, Phases):
         check_kind(problem, BoundaryProblem)
-    find = _refinement(problem, method, intervals, mesh, tolerance, of, limits)
+    find = _refinement(problem, tolerance, method, intervals, mesh, limits or Limits(), of)
     return AdaptiveTranscription(problem, tolerance, find)
 
 

@@ -267,7 +267,7 @@ class ControlTranscription:
                 return verified(root, "Newton")
         optimum = optimum_from(unknowns, *start.duals)
         path = verified(optimum)
-        if start.known or not (optimum.doubtful and path.morse_index):
+        if isinstance(guess, OptimalPath) or not (optimum.doubtful and path.morse_index):
             return path
         return _below(path, optimum_from, verified)
 

@@ -41,13 +41,11 @@ class StartingPoint:
     values : one array for every field of the `Chain` of every phase but impulses, which begin at zero
     duals : multipliers of the bounds and of the equations for a warm start, or an empty tuple
     sizes : sizes of the terms of every kind of equation
-    known : whether it is an earlier answer
     """
 
     values: list[dict[str, np.ndarray]]
     duals: tuple[np.ndarray, ...]
     sizes: np.ndarray
-    known: bool
 
 
 def starting_point(
@@ -73,7 +71,7 @@ def starting_point(
     if warm:
         at, before = guess.variations.optimum, numbers.units(warm)
         sizes = _in_units_of(guess.variations.sizes, numbers, warm)
-        return StartingPoint(warm, (at.bound_multipliers, at.multipliers * numbers.units(warm) / before), sizes, True)
+        return StartingPoint(warm, (at.bound_multipliers, at.multipliers * numbers.units(warm) / before), sizes)
 
     def values_at(some: Any, factor: float) -> list[dict[str, np.ndarray]]:
         guesses = guesses_of_phases(problem, numbers.chains[0], calculus, calculi, some)
@@ -93,7 +91,7 @@ def starting_point(
     for chain, found in zip(numbers.chains, values, strict=True):
         momentum = -report.equations[chain.departures]
         found["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0)
-    return StartingPoint(values, (), _in_units_of(largest, numbers, values), isinstance(guess, OptimalPath))
+    return StartingPoint(values, (), _in_units_of(largest, numbers, values))
 
 
 def _in_units_of(sizes: np.ndarray, numbers: Numbering, values: list[dict[str, np.ndarray]]) -> np.ndarray:
