@@ -15,6 +15,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from operator import attrgetter
 from typing import Any
 
 import casadi as ca
@@ -42,7 +43,16 @@ from casadi_galerkin.problems.callables import (
 from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import BOUNDS, END_MOTIONS, ENDS, Problem, is_given, section_times, with_values
-from casadi_galerkin.problems.statements import FEASIBLE, Limited, Statement, is_limited, keeps_to, optional, plain
+from casadi_galerkin.problems.statements import (
+    FEASIBLE,
+    Limited,
+    Statement,
+    is_limited,
+    keeps_to,
+    optional,
+    plain,
+    within,
+)
 
 
 def _breakpoints(name: str, value: Any, problem: ControlProblem) -> tuple[float, ...]:
@@ -322,14 +332,12 @@ class ControlProblem(Problem):
     running_cost: statements.Lagrangian = statements.function("t x v u", "scalar", zeros=True)
     controls: Statement[int, int] = Statement(plain(partial(whole_number, least=0)), 0)
     terminal_cost: statements.FunctionOrNone = statements.function("t x v", "scalar")
-    control_bounds: statements.Within = statements.within("controls")
-    position_bounds: statements.Within = statements.within("dimension")
+    control_bounds: statements.Within = within(attrgetter("controls"))
+    position_bounds: statements.Within = within(attrgetter("dimension"))
     path_constraint: statements.LimitedValues = statements.limited("t x v u")
-    duration_bounds: statements.WithinOrNone = statements.sides(
-        lambda problem: len(problem.breakpoints) + 1, positive=True
-    )
+    duration_bounds: statements.WithinOrNone = within(lambda problem: len(problem.breakpoints) + 1, fixed=True)
     parameters: statements.NumbersOrNone = Statement(statements.read_parameters, None)
-    parameter_bounds: statements.WithinOrNone = statements.sides(lambda problem: len(problem.parameters or ()))
+    parameter_bounds: statements.WithinOrNone = within(lambda problem: len(problem.parameters or ()), fixed=True)
     rates: statements.Lagrangian = statements.function("t x v u", "any", zeros=True)
     end_conditions: statements.LimitedValues = statements.limited("x0 v0 x1 v1")
     breakpoints: statements.Times = Statement(_breakpoints, ())
@@ -337,11 +345,11 @@ class ControlProblem(Problem):
     jumps: statements.Jumps = Statement(statements.read_jumps, ())
     hold: Statement[bool, bool] = Statement(statements.read_switch, False)
     constraint: statements.FunctionOrNone = statements.function("t x", "any")
-    velocity_bounds: statements.Within = statements.within("dimension")
-    control_rate_bounds: statements.Within = statements.within("controls")
+    velocity_bounds: statements.Within = within(attrgetter("dimension"))
+    control_rate_bounds: statements.Within = within(attrgetter("controls"))
     initial_cost: statements.FunctionOrNone = statements.function("t x v", "scalar")
-    start_bounds: statements.Within = statements.within("dimension")
-    initial_time_bounds: statements.WithinOrNone = statements.sides(lambda _: 1)
+    start_bounds: statements.Within = within(attrgetter("dimension"))
+    initial_time_bounds: statements.WithinOrNone = within(lambda _: 1, fixed=True)
     components: Statement[int | None, int | None] = Statement(optional(plain(whole_number)), None)
     rules, rules_of_values, rules_of_masses = RULES, RULES_OF_VALUES, (singular_mass,)
 

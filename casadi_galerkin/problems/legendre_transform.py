@@ -49,7 +49,9 @@ def singular(mass: np.ndarray, where: str) -> Iterator[str]:
     """That a mass matrix (d, d) is singular or not finite at a point, whatever the units; `where` tells the point."""
     if not np.all(np.isfinite(mass)):
         yield f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}"
-    elif np.linalg.cond(scaled_masses(mass)[0]) * APART >= 1:
+        return
+    sizes = np.linalg.svd(scaled_masses(mass)[0], compute_uv=False)
+    if sizes[-1] <= APART * sizes[0]:
         yield (
             f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not "
             f"determine the velocities; got {mass.tolist()}"
@@ -59,7 +61,7 @@ def singular(mass: np.ndarray, where: str) -> Iterator[str]:
 def generic_places(problem: Any, count: int, unit: float = 1.0) -> tuple[np.ndarray, ...]:
     """Times, positions, velocities and accelerations as if at random near the line between the ends; (d, count)."""
     (first, last), given = problem.t_span, np.array([problem.start, problem.end], dtype=float)
-    start, end = given = np.nan_to_num(given)
+    start, end = given = np.where(np.isnan(given), 0.0, given)
     off = np.cos(np.arange(3 * len(start) * count) ** 2).reshape(3, count, -1) * unit * component_sizes(given.T)
     when = (1 + np.arange(count)[:, None]) / (1 + count)
     x, v, a = (

@@ -212,34 +212,26 @@ def limited(names: str) -> LimitedValues:
     return Statement(reader, None)
 
 
-def within(size: str) -> Within:
-    """(lo, hi) of as many values as this attribute of the problem tells, that are not all fixed."""
+def within(count: Callable[[Any], int], fixed: bool = False) -> Any:
+    """(lo, hi) of so many values, not all of them fixed; None where they are `fixed` unless it is given."""
 
-    def reader(name: str, value: Any, problem: Any) -> Bounds:
-        count = getattr(problem, size)
-        low, high = bounds(name, value, count)
-        if count > 1 and low == high:  # as by a pair for each of two components in place of (lo, hi)
+    def reader(name: str, value: Any, problem: Any) -> Bounds | None:
+        size = count(problem)
+        if fixed and value is None:
+            return None
+        if not size and fixed:
+            raise ValueError(f"{name} need parameters, which are the guess")
+        low, high = bounds(name, value, size)
+        if size > 1 and low == high and not fixed:  # as by a pair for each of two components in place of (lo, hi)
             raise ValueError(
-                f"{name} must be (lo, hi), each a number or {count} numbers, not a pair for each component: "
+                f"{name} must be (lo, hi), each a number or {size} numbers, not a pair for each component: "
                 f"{value!r} leaves nothing free"
             )
-        return low, high
-
-    return Statement(reader, None)
-
-
-def sides(count: Callable[[Any], int], positive: bool = False) -> WithinOrNone:
-    """(lo, hi) of what is free within them, of so many values; None where nothing is."""
-
-    def reader(name: str, value: Any, problem: Any) -> Bounds:
-        if not count(problem):
-            raise ValueError(f"{name} need parameters, which are the guess")
-        low, high = bounds(name, value, count(problem))
-        if positive and min(low) <= 0:
+        if name == "duration_bounds" and min(low) <= 0:
             raise ValueError(f"{name} must be positive, got {value}")
         return low, high
 
-    return Statement(optional(reader), None)
+    return Statement(reader, None)
 
 
 def bounds(name: str, value: Any, size: int) -> Bounds:
