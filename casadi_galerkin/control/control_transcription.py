@@ -52,7 +52,8 @@ from casadi_galerkin.problems.statements import FEASIBLE, Limit, check
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.optimal_path import Comparisons, OptimalPath
+from casadi_galerkin.solution.optimal_path import OptimalPath
+from casadi_galerkin.solution.trajectory import Comparisons
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt, sqp
 

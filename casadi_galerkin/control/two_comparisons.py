@@ -35,7 +35,8 @@ from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.problems.statements import AT_BOUND
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
-from casadi_galerkin.solution.optimal_path import Comparisons, PhasesTrajectory
+from casadi_galerkin.solution.optimal_path import PhasesTrajectory
+from casadi_galerkin.solution.trajectory import Comparisons
 from casadi_galerkin.solvers.solver import Solver, ipopt, sqp
 
 DEGREES_ADDED = 2  # degrees added; one adds nothing to a path of the other parity

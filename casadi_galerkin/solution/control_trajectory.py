@@ -113,10 +113,6 @@ class ControlTrajectory(OptimalPath, Trajectory):
         """The remaining solver errors."""
         return self.variations.remaining_error(self.number)
 
-    @property
-    def _finer(self) -> tuple[Trajectory, ...]:
-        return self._comparisons.finer
-
     def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray, float]:
         """A quantity, its error and its size; those of the cost are known beside the two comparisons."""
         value, change, size = super()._known(of)
@@ -125,10 +121,6 @@ class ControlTrajectory(OptimalPath, Trajectory):
         self.estimate_error()
         assert self.cost_error is not None
         return value, np.array(self.cost_error * self.cost_size), self.cost_size
-
-    @property
-    def _unseen_error(self) -> float:
-        return self._comparisons.unseen
 
     @property
     def unseen_change(self) -> float:
@@ -252,7 +244,6 @@ class ControlTrajectory(OptimalPath, Trajectory):
             varies = f"varies by {self._hamiltonian_change:.1e}{where}"
             yield "Hamiltonian", f"{self.hamiltonian[0]:.9g} at the start, {varies}"
         yield from self._asked()
-        yield from self._accuracy()
         what = "momentum" if self.problem.mechanical else "value"
         yield "defect", f"{self._worst(self.dynamics_defect)}, of the largest {what}"
         if np.max(self.constraint_excess) > FEASIBLE:  # solvers leave as much

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -21,28 +20,12 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns
 from casadi_galerkin.solution.path import of_parts
 from casadi_galerkin.solution.plotting import COLORS, panels, plot_path
-from casadi_galerkin.solution.trajectory import Answer, Lines
+from casadi_galerkin.solution.trajectory import Answer, Comparisons, Lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
-
-
-@dataclass(frozen=True)
-class Comparisons:
-    """An optimal path's comparison with others of higher degree.
-
-    Attributes
-    ----------
-    finer : the others, where they are paths of one problem
-    errors : relative errors of the cost, and of all
-    unseen : relative error that all of these have in common
-    """
-
-    finer: tuple[Any, ...]
-    errors: tuple[float, float]
-    unseen: float
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -83,18 +66,18 @@ class OptimalPath(Answer):
         motion under controls that are held on these intervals.
         """
         if self.error_estimate is None:
-            try:
-                errors = self._comparisons.errors
-            except ConvergenceError:
-                errors = math.inf, math.inf
-            self.__dict__.update(zip(("cost_error", "error_estimate"), errors, strict=True))  # the class is frozen
+            cost, path = self._comparisons.errors
+            self.__dict__.update(cost_error=cost, error_estimate=path)  # the class is frozen
         assert self.error_estimate is not None
         return self.error_estimate
 
     @cached_property
     def _comparisons(self) -> Comparisons:
         self._ask_whole("errors")
-        return self.find_comparisons(self)
+        try:
+            return self.find_comparisons(self)
+        except ConvergenceError:
+            return Comparisons()
 
     @property
     def phases(self) -> tuple[Any, ...]:
@@ -285,7 +268,6 @@ class PhasesTrajectory(OptimalPath):
     def _lines(self) -> Lines:
         """What the summary says of the whole and of every phase."""
         yield "cost", f"{self.cost:.12g}, {self._kind()}"
-        yield from self._accuracy()
         for k, path in enumerate(self.phases):
             yield f"phase {k}", f"{path._size()} on {spanned(path.t)}, cost {path.cost:.9g}"
 

@@ -30,7 +30,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import COLORS, axes_or_new, plot_plane
-from casadi_galerkin.solution.quantity import Quantity, check_quantity, largest_difference, quantity, size_of
+from casadi_galerkin.solution.quantity import Quantity, check_quantity, largest_difference, size_of
 
 if TYPE_CHECKING:
     from matplotlib.animation import ArtistAnimation
@@ -45,6 +45,22 @@ UNRESOLVED = 1e-3  # relative error, or indicator of one, above which a path is 
 def index_in_words(path: Trajectory) -> str:
     """The Morse index of a path in words."""
     return "no Morse index" if path.morse_index is None else f"Morse index {path.morse_index}"
+
+
+@dataclass(frozen=True)
+class Comparisons:
+    """A path's comparison with others of higher degree, by default none.
+
+    Attributes
+    ----------
+    finer : the others, where they are paths of one problem
+    errors : relative errors of the cost, and of all
+    unseen : relative error that all of these have in common
+    """
+
+    finer: tuple[Any, ...] = ()
+    errors: tuple[float, float] = (math.inf, math.inf)
+    unseen: float = math.inf
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -125,6 +141,7 @@ class Answer(Path):
         lines = [
             ("method", str(self.method)),
             *self._lines(),
+            *self._accuracy(),
             ("solver", f"{self.solver}, {counted(self.iterations, 'iteration')}, {self._left.format(self)}"),
             ("seconds", f"{self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve"),
         ]
@@ -196,7 +213,7 @@ class Trajectory(Answer):
         """
         if self.error_estimate is not None:
             return self.error_estimate
-        difference = self._difference() if self.variations is None else self.variations.difference()
+        difference = self._comparisons.errors[1] if self.variations is None else self.variations.difference()
         error = max(difference, self._least_error)
         self.__dict__["error_estimate"] = error  # the class is frozen
         return error
@@ -244,40 +261,27 @@ class Trajectory(Answer):
     def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray, float]:
         """A quantity, its error as `error_of` has it, and its size."""
         check_quantity(of)
-        try:
-            finer = self._finer
-        except ConvergenceError:
-            value = quantity(of, self)
-            return value, np.full(value.shape, np.inf), size_of(value)
         rounding = EPS if self.variations is None else min(self.variations.rounding(), 1.0)
-        value, change = largest_difference(of, self, finer, rounding)
+        value, change = largest_difference(of, self, self._comparisons.finer, rounding)
         size = size_of(value)
-        return value, np.maximum(self.comparison_factor * change, self._unseen_error * size), size
-
-    @property
-    def _unseen_error(self) -> float:
-        """Relative error that the paths of a higher degree have in common with this one."""
-        return self._least_error if self._least_error > self._difference() else 0.0
+        return value, np.maximum(self.comparison_factor * change, self._comparisons.unseen * size), size
 
     @cached_property
-    def _finer(self) -> tuple[Trajectory, ...]:
-        """The paths of a higher degree that this one is compared with."""
+    def _comparisons(self) -> Comparisons:
+        """With the path of a higher degree: the relative difference of both, and what it may not show."""
         assert self.find_finer is not None
-        return self.find_finer(self)
+        try:
+            (finer,) = self.find_finer(self)
+        except ConvergenceError:
+            return Comparisons()
+        lasting, least = float(np.ptp(finer.t) / np.ptp(self.t)), self._least_error
+        difference = max(difference_of_paths(self.polynomial, finer.polynomial), abs(lasting - 1), self.missed)
+        return Comparisons((finer,), (0.0, difference), least if least > difference else 0.0)
 
     @property
     def _least_error(self) -> float:
         """Relative error that no comparison with a path of a higher degree shows."""
         return max(self.missed, *(float(np.max(indicator)) for indicator in self._indicators))
-
-    def _difference(self) -> float:
-        """Relative difference of path and duration to those of the path of a higher degree."""
-        try:
-            (finer,) = self._finer
-        except ConvergenceError:
-            return math.inf
-        lasting = float(np.ptp(finer.t) / np.ptp(self.t))
-        return max(difference_of_paths(self.polynomial, finer.polynomial), abs(lasting - 1), self.missed)
 
     @cached_property
     def _indicators(self) -> tuple[np.ndarray, ...]:
@@ -490,4 +494,3 @@ class Trajectory(Answer):
         yield "action", f"{self.action:.15g}, {self._kind()}"
         yield "energy", f"{self.energy[0]:.12g} at the start, its balance kept to {balance}"
         yield from self._asked()
-        yield from self._accuracy()

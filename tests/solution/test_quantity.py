@@ -69,7 +69,7 @@ def test_paths_of_higher_degree_are_found_once_and_kept_on_the_way_to_another_pr
     path = cg.solve(SWING, tol=1e-8, of=QUANTITIES["action"])
     again = pickle.loads(pickle.dumps(path))
     assert again.error_of(QUANTITIES["energy"]) == path.error_of(QUANTITIES["energy"])
-    assert again.__dict__["_finer"][0].action == path.__dict__["_finer"][0].action
+    assert again.__dict__["_comparisons"].finer[0].action == path.__dict__["_comparisons"].finer[0].action
 
 
 @pytest.mark.parametrize("solve", [cg.solve, *slow(cg.shoot)])
