@@ -211,9 +211,9 @@ def _graph(
 
 def _refinement(problem: Any, *given: Any, mapping: PointMap = by_rows, starts: int = 1) -> Callable[..., Any]:
     """Refuse what does not fit; a function (problem, guess, first path, solver, verbose) -> path to the tolerance."""
-    if isinstance(problem, BoundaryProblem):
-        return RepeatedRefinement(problem, *given, mapping=mapping).found
-    return RepeatedOptimization(problem, *given, starts=starts).found
+    boundary = isinstance(problem, BoundaryProblem)
+    made: Any = RepeatedRefinement if boundary else RepeatedOptimization
+    return made(problem, *given, mapping if boundary else starts).found
 
 
 def _given(method: Galerkin | None) -> Galerkin:
