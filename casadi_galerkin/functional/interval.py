@@ -47,8 +47,6 @@ SMALLEST_STEP = 0.01 * EPS
 # The last step that Newton's method takes is at most this part of the largest component.  QR spreads the rounding of
 # this step, EPS times its size, to all components, also to those at rest.
 LARGEST_LAST_STEP = float(np.cbrt(SMALLEST_STEP))
-# relative Newton step after which only rounding can keep the next one, its square, from being far smaller
-NEARLY_CONVERGED_SLOPES = EPS**0.5
 
 
 class SlopeBasis:
@@ -302,11 +300,10 @@ def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     """Newton's method for R = 0, as a Function (s, x, p, t, h) -> s, number of iterations.
 
     Steps are measured relative to the sizes of the components; under a constraint, to the sizes of their slopes, to
-    which the tangent velocity has to be accurate.  Where steps converge quadratically, |ds| = c |ds_before|², the next
-    one will be |ds| (|ds| / |ds_before|)².  The iteration ends when this estimate is below `SMALLEST_STEP`, or when
-    steps below `NEARLY_CONVERGED_SLOPES` no longer shrink.  The first so many components of x are `positions`; a
-    stretch is none.  Each doubling runs the iterations of the one before, and runs them again if they did not end, so
-    that only few conditionals are evaluated.
+    which the tangent velocity has to be accurate. Where steps converge quadratically, |ds| = c |ds_before|², the next
+    one will be |ds| (|ds| / |ds_before|)². The iteration ends when this estimate is below `SMALLEST_STEP`. The first so
+    many components of x are `positions`; a stretch is none. Each doubling runs the iterations of the one before, and
+    runs them again if they did not end, so that only few conditionals are evaluated.
     """
     inputs = system.mx_in()
     (rows, m), d = inputs[0].shape, inputs[1].numel()
@@ -315,9 +312,7 @@ def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     least = ca.fabs(x) if rows == d else ca.repmat(LARGEST_LAST_STEP * largest, d, 1)
     size = [least[i] + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
     relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # without the impulses
-    large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
-    stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEARLY_CONVERGED_SLOPES), relative > before / 2)
-    unfinished = ca.logic_and(large, ca.logic_not(stalled))
+    unfinished = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
     update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])
     residual, by_s = system(*inputs)
     last, step = ca.MX.sym("last"), ca.reshape(-_solved(by_s, residual, (rows, m), d), rows, m)
