@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from casadi_galerkin._solve import AdaptiveTranscription, solve, transcribe
+from casadi_galerkin._solve import AdaptiveTranscription, transcribe
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import or_one
@@ -76,12 +76,7 @@ def solver_of(
         if method is None or intervals is None:
             raise ValueError(f"give a method and intervals, or tol, got method={method!r} and intervals={intervals!r}")
         return partial(_on_one_graph, transcribe(problem, method, intervals))
-    if isinstance(problem, BoundaryProblem):
-        return partial(_from_neighbors, transcribe(problem, method, intervals, tol=tol, of=of))
-    transcribe(problem, method, intervals, tol=tol)  # refuses here what would fail in every variation
-    return lambda variation, _: solve(
-        varied(problem, variation), method, intervals, tol=tol, of=of, guess=variation.get("guess")
-    )
+    return partial(_from_neighbors, transcribe(problem, method, intervals, tol=tol, of=of))
 
 
 def _on_one_graph(graph: Transcription | ControlTranscription, variation: Variation, _: Sequence[Known]) -> Trajectory:
@@ -94,16 +89,15 @@ def _on_one_graph(graph: Transcription | ControlTranscription, variation: Variat
 
 
 def _from_neighbors(
-    transcription: AdaptiveTranscription[Trajectory], variation: Variation, known: Sequence[Known]
+    transcription: AdaptiveTranscription[Any], variation: Variation, known: Sequence[Known]
 ) -> Trajectory:
-    """Solve to a tolerance from the nearest known path, and where that leads to none, from the straight line.
+    """Solve to a tolerance from the nearest known path, and where that leads to none, as without one.
 
     A variation with a guess of its own is solved from that, on the mesh of its neighbor; one with a guess of the free
     duration, which chooses among the paths of an energy, has no neighbor.
     """
-    problem, guess = transcription.problem, variation.get("guess")
-    own = varied(problem, variation)
-    if known and not (problem.energy is not None and "t_span" in variation):
+    guess, own = variation.get("guess"), varied(transcription.problem, variation)
+    if known and not (getattr(own, "energy", None) is not None and "t_span" in variation):
         values = np.array([data_vector(own), *(place for place, _ in known)])
         _, near = known[nearest(values[0], values[1:], np.ptp(values, axis=0))]
         try:
@@ -189,7 +183,7 @@ def by_executor(executor: Executor, pickled: bytes, chunks: list[Chunk]) -> Iter
 def answered(
     run: Run,
     variations: Sequence[Variation],
-    problems: Sequence[BoundaryProblem],
+    problems: Sequence[Problem],
     file: SweepFile | None,
 ) -> Iterator[tuple[int, Answer]]:
     """Numbers of variations and their answers, as they come.

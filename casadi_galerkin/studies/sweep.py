@@ -247,10 +247,9 @@ def sweep(
         momenta at the ends, and the energy, where the problem states them; and `guess`, as for `solve`, which for an
         executor has to be picklable (an array, a Trajectory, a module's function)
     method, intervals : as for `solve`
-    tol : as for `solve`; each variation of a boundary problem without a guess of its own starts from the path and the
-        mesh of the nearest one that is solved, and so stays on its branch; see `Sweep.jumps`.  With a given energy, a
-        variation with a `t_span`, the guess of its duration, starts from the straight line.  Variations of a control
-        problem are refined one by one, each from its own guess
+    tol : as for `solve`; each variation without a guess of its own starts from the path and the mesh of the nearest one
+        that is solved, and so stays on its branch; see `Sweep.jumps`.  With a given energy, a variation with a
+        `t_span`, the guess of its duration, starts from the straight line
     of : the quantity that `tol` is the tolerance of, as for `solve`; with an executor or a file a module's function
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: the solves of one process run one after the other
@@ -303,10 +302,9 @@ def sweep(
         if file is not None:
             stated = repr([{**variation, "guess": None} for variation in checked]).encode()
             kept = SweepFile(file, written, b"".join([stated, *guesses]))
-    neighbors = [other for other in problems if isinstance(other, BoundaryProblem)] if tol is not None else []
     answers = dict[int, Answer]()
     with progress("sweep", len(checked)) as advance, suppress(KeyboardInterrupt):
-        for i, answer in answered(run, checked, neighbors, kept):
+        for i, answer in answered(run, checked, problems if tol is not None else (), kept):
             answers[i] = answer
             advance(1)
     cut_short = CutShort("the sweep was interrupted before this variation was solved")

@@ -345,6 +345,16 @@ def test_a_control_problem_is_swept(pool):
     np.testing.assert_allclose(cg.sweep(problem, PUSHES[:2], tol=1e-6).cost, sweep.cost[:2], rtol=1e-6, atol=0)
 
 
+@pytest.mark.slow
+def test_with_a_tolerance_controls_start_from_their_neighbors_too():
+    pushes = [{"end": [float(end)]} for end in np.linspace(1.0, 2.0, 8)]
+    problem = double_integrator(control_bounds=(-11.0, 11.0))  # acts from an end of 11 / 6 on
+    alone, beside = (cg.solve(problem.varied(push), tol=1e-6) for push in pushes), cg.sweep(problem, pushes, tol=1e-6)
+    for path, own in zip(beside, alone, strict=True):
+        assert path.error_estimate <= 1e-6
+        assert path.cost == pytest.approx(own.cost, rel=2e-6)
+
+
 def test_breakpoints_of_a_control_problem_are_joints_whatever_the_time_span():
     sweep = cg.sweep(double_integrator(breakpoints=[0.3]), [{}, {"t_span": (0.0, 2.0)}], METHOD, INTERVALS)
     np.testing.assert_allclose(sweep.cost, [6.0, 0.75], rtol=1e-10, atol=0)
