@@ -54,12 +54,9 @@ def _ends(problem: BoundaryProblem) -> Iterator[str]:
 
 def _given_at_ends(problem: BoundaryProblem) -> list[dict[str, float]]:
     """What is given of every component at the start, and then at the end, by name."""
-    names = [(side, f"{side}_velocity", f"{side}_momentum") for side in ENDS]
-    return [
-        {name: values[i] for name in some if (values := getattr(problem, name))[i] is not None}
-        for some in names
-        for i in range(problem.dimension)
-    ]
+    given = [{name: values for name, values in problem.given.items() if name.startswith(side)} for side in ENDS]
+    components = range(problem.dimension)
+    return [{name: v for name, x in some.items() if (v := x[i]) is not None} for some in given for i in components]
 
 
 def _twice_given(problem: BoundaryProblem) -> Iterator[str]:

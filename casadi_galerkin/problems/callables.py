@@ -52,16 +52,17 @@ def trace(
         naming what came and what was expected
     """
     taken: Mapping[str, int] = {key: size for key, size in sizes.items() if size}
+    signature = _signature(function)
     if optional and callable(function):
         few = {key: size for key, size in taken.items() if key not in optional}
-        named = not set(_names(function)).isdisjoint(optional)
+        named = signature is not None and not signature.parameters.keys().isdisjoint(optional)
         taken = taken if (function.n_in() > len(few) if isinstance(function, ca.Function) else named) else few
     shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in taken.items())
     if isinstance(function, ca.Function):
         taken = sizes if function.n_in() == len(sizes) else taken  # as of a problem whose fields are replaced
         _check_function(name, function, taken, shapes)
     elif callable(function):
-        _check_signature(name, function, list(taken))
+        _check_signature(name, signature, list(taken))
     else:
         raise TypeError(f"{name} must be a callable of ({', '.join(taken)}), got {function!r}")
     symbols = {key: ca.SX.sym(key, size) for key, size in sizes.items()}
@@ -131,25 +132,21 @@ def _column(name: str, function: Traceable, arguments: Mapping[str, ca.SX], rows
     return value
 
 
-def _names(function: Any) -> list[str]:
-    """Names of the arguments of a callable, as far as its signature is known."""
+def _signature(function: Any) -> inspect.Signature | None:
+    """The arguments of a callable, as far as they are known."""
     try:
-        return list(inspect.signature(function).parameters)
+        return inspect.signature(function)
     except (TypeError, ValueError):
-        return []
+        return None
 
 
-def _check_signature(name: str, function: Traceable, expected: list[str]) -> None:
+def _check_signature(name: str, signature: inspect.Signature | None, expected: list[str]) -> None:
     """Refuse a callable of other arguments, or of these in another order, as far as its signature is known."""
-    try:
-        signature = inspect.signature(function)
-    except ValueError:  # it has none
-        return
-    taken = list(signature.parameters)
+    taken = expected if signature is None else list(signature.parameters)
     swapped = taken != expected and sorted(taken) == sorted(expected)
     if not swapped:
         with suppress(TypeError):
-            signature.bind(*expected)
+            _ = signature and signature.bind(*expected)
             return
     hint = _about_p(expected) if len(taken) > len(expected) or "p" in expected else ""
     if "u" in taken and "u" not in expected:

@@ -226,19 +226,8 @@ def _conditions_on_free_ends(problem: Any) -> Iterator[str]:
     yield from too_many("end_conditions with equal bounds", uses[equal], free)
 
 
-RULES = (
-    _beside_a_constraint,
-    _velocities_of_rates,
-    _unused,
-    _impulses,
-    impossible_constraint,
-    _conditions_on_free_ends,
-)
-RULES_OF_VALUES = (
-    _given_outside,
-    constraint_at_ends,
-    _functions_of_given_ends,
-)
+ALWAYS = _beside_a_constraint, _velocities_of_rates, _unused, _impulses, impossible_constraint, _conditions_on_free_ends
+OF_VALUES = _given_outside, constraint_at_ends, _functions_of_given_ends
 
 
 @lru_cache(8)  # so that what is derived from the Function is found again
@@ -351,7 +340,7 @@ class ControlProblem(Problem):
     start_bounds: statements.Within = within(attrgetter("dimension"))
     initial_time_bounds: statements.WithinOrNone = within(lambda _: 1, fixed=True)
     components: Statement[int | None, int | None] = Statement(optional(plain(whole_number)), None)
-    rules, rules_of_values, rules_of_masses = RULES, RULES_OF_VALUES, (singular_mass,)
+    rules, rules_of_values, rules_of_masses = ALWAYS, OF_VALUES, (singular_mass,)
 
     @property
     def first_order(self) -> bool:
