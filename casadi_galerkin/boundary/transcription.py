@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,6 @@ from casadi_galerkin.functional.pointwise import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
-from casadi_galerkin.problems.problem import VARIED
 from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -132,7 +131,6 @@ class Transcription(BoundaryGraph):
         ValueError, TypeError
             for input that does not fit
         """
-        check_given(given)
         check_verbose(verbose)
         began = time.perf_counter() - self.build_seconds
         changes = {"start": start, "end": end, "parameters": parameters, **given}
@@ -193,14 +191,6 @@ class Transcription(BoundaryGraph):
             f"{counted(len(self.mesh) - 1, 'interval')}: {counted(self.numbering.free, 'unknown')}, built in "
             f"{self.build_seconds:.4f} s"
         )
-
-
-def check_given(given: Mapping[str, object]) -> None:
-    """Refuse what no boundary problem states."""
-    for name in given:
-        if name not in VARIED:
-            other = "; other times are given by mesh" if name == "t_span" else ""
-            raise TypeError(f"solve takes other values of {', '.join(VARIED)}, got {name}{other}")
 
 
 class SecondVariation:

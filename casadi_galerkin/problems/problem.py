@@ -161,7 +161,8 @@ class Problem(Stated):
         """Another value of a statement, with None where it has None."""
         if name not in VARIED:
             known = ", ".join(name for name in (*VARIED, *BOUNDS) if hasattr(self, name))
-            raise ValueError(f"what can be varied is {known}, got {name}={value!r}")
+            other = "; other times are given by mesh" * (name == "t_span")
+            raise ValueError(f"what can be varied is {known}, got {name}={value!r}{other}")
         before = getattr(self, name, None)
         if before is None:
             raise ValueError(f"the problem has no {name}, got {name}={value!r}")

@@ -25,7 +25,7 @@ METHOD = cg.Galerkin(2)
         ({"solver": "ipopt"}, TypeError, r"solver must be cg.newton, .* or cg.minimizer, got 'ipopt'"),
         ({"solver": None}, TypeError, "solver must be cg.newton, .* got None"),
         ({"solver": lambda *_: 1}, TypeError, "solver must return a Solution, .* has returned 1; take cg.newton"),
-        ({"finish": [1.0]}, TypeError, "solve takes other values of start, .*, energy, got finish"),
+        ({"finish": [1.0]}, ValueError, "what can be varied is start, .*, energy, got finish"),
     ],
 )
 def test_a_repeated_solve_with_input_that_does_not_fit_is_refused(changes, kind, message):
