@@ -20,6 +20,7 @@ from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.constrained_motion import motion_of, tangents
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.guess import check_finite_values
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.initial_value import started
 from casadi_galerkin.stepping.stepper import Stepper
@@ -141,12 +142,8 @@ def _generators(path: Trajectory, symmetry: Traceable | tuple[Traceable, Traceab
     """ξ(x) and τ(t) of a symmetry; refuses what is not finite on the path."""
     of_x, of_t = symmetry if isinstance(symmetry, tuple) else (symmetry, lambda t: 0.0 * t)
     generator, times = trace("symmetry", of_x, {"x": len(path.x)}, len(path.x)), trace("symmetry", of_t, {"t": 1}, 1)
-    for function, name, at in ((generator, "x", path.x), (times, "t", path.t[None, :])):
-        (directions,) = at_places(function, at)
-        finite = np.isfinite(directions).all(axis=0)
-        if not finite.all():
-            i = int(np.argmin(finite))
-            raise ValueError(f"what symmetry returns must be finite, got {directions[:, i]} at {name} = {at[:, i]}")
+    for function, at in ((generator, path.x), (times, path.t[None, :])):
+        check_finite_values("what symmetry returns", at_places(function, at)[0], path.t)
     return generator, times
 
 

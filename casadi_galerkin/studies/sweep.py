@@ -122,19 +122,18 @@ class Sweep(Table, Pictured):
 
         The parameters of one that failed are those that it states.
         """
-        size, failures = max((len(path.x) for path in self._paths.values()), default=0), self.failures
-        stated = [self._paths[i].problem if i in self._paths else problem for i, problem in enumerate(self.problems)]
-        count = max((len(problem.parameters or ()) for problem in stated), default=0)
-        parameters = np.array([problem.parameters or () for problem in stated]).reshape(len(self), count)
+        found = [self._paths[i].problem if i in self._paths else problem for i, problem in enumerate(self.problems)]
+        parameters = np.array([problem.parameters or () for problem in found])
         names = [name for name in ("action", "cost") if any(hasattr(path, name) for path in self._paths.values())]
 
         def ends(name: str) -> dict[str, np.ndarray]:
             """Values at the start and at the end."""
-            found = self._rows(lambda path: getattr(path, name)[:, [0, -1]], (size, 2))
-            return by_component(f"start_{name}", found[..., 0].T) | by_component(f"end_{name}", found[..., 1].T)
+            size = self.problems[0].dimension if self.problems else 0
+            rows = self._rows(lambda path: getattr(path, name)[:, [0, -1]], (size, 2))
+            return by_component(f"start_{name}", rows[..., 0].T) | by_component(f"end_{name}", rows[..., 1].T)
 
         return {
-            "failure": np.array([str(failures.get(i, "")) for i in range(len(self))]),
+            "failure": np.array([str(self.failures.get(i, "")) for i in range(len(self))]),
             **by_component("parameters", parameters.T),
             **{name: self._rows(attrgetter(name)) for name in names},
             "duration": self._rows(lambda path: path.t[-1] - path.t[0]),

@@ -174,8 +174,8 @@ def test_a_sweep_of_a_control_problem_has_costs():
 def test_a_sweep_without_answers_still_says_why():
     for failing in ([{"guess": lambda t: [np.nan]}], []):
         table = cg.sweep(oscillator_problem(), failing, cg.Galerkin(3), 4).to_dict()
-        assert list(table) == ["failure", "duration"]
-        assert len(table["failure"]) == len(failing)
+        assert {"failure", "duration"} <= set(table)
+        assert {len(column) for column in table.values()} == {len(failing)}
 
 
 def test_a_sweep_has_a_row_for_a_failure_too():
