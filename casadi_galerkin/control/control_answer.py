@@ -10,7 +10,6 @@ import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.control.control_graph import Report
-from casadi_galerkin.control.control_numbering import Chain
 from casadi_galerkin.control.failed_optimization import undefined
 from casadi_galerkin.control.second_order import SecondOrder
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
@@ -62,7 +61,11 @@ def answer(
         still = np.zeros((chain.dimension - mechanical, len(joints)))
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, still))
         rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T
-        limits.append(_path_multipliers(chain, multipliers, joints))
+        weights = np.multiply.outer(np.diff(joints), chain.method.element.weights)
+        pushes = np.zeros((weights.size, 0))
+        if chain.path_constraints:  # multipliers of the points over their steps of time
+            pushes = np.concatenate(multipliers[chain.rows["path"]] / weights[:, :, None])
+        limits.append(ControlPath(joints, rule, pushes.T, rule))
         costate = chain.costate(multipliers, optimum.bound_multipliers, joints, starts[k])
         found.append(
             ControlTrajectory(
@@ -105,15 +108,6 @@ def answer(
         number=None,
         **whole,
     )
-
-
-def _path_multipliers(chain: Chain, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath:
-    """Multipliers of the path constraints as functions of time: those of the points over their steps of time."""
-    rule = chain.method.element
-    values = np.zeros((len(joints) - 1, len(rule.points), 0))
-    if chain.path_constraints:
-        values = multipliers[chain.rows["path"]] / np.multiply.outer(np.diff(joints), rule.weights)[:, :, None]
-    return ControlPath(joints, rule.points, np.concatenate(values).T, rule.points)
 
 
 def _connected(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:

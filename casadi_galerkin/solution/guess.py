@@ -55,10 +55,35 @@ def relative_distance(values: np.ndarray, guessed: np.ndarray) -> float:
 
 def guess_values(guess: Guess | None, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
     """Values (d, N m + 1) of a guess as it was given, or zeros; refuses what does not fit or is not finite."""
+    mesh, times, nodes, d = calculus.mesh, calculus.node_times, calculus.method.element.nodes, dimension
     if guess is None:
-        return np.zeros((dimension, len(calculus.node_times)))
-    values = _values(guess, calculus, dimension)
-    check_finite_values("the guess", values, calculus.node_times)
+        return np.zeros((d, len(times)))
+    if isinstance(guess, tuple) and len(guess) == 2:
+        guess = joined_by_lines(*guess, d)
+    elif isinstance(guess, Path):
+        guess = guess.polynomial
+    elif isinstance(guess, list) and any(map(callable, guess)):
+        raise TypeError("a pair as guess, such as (path, controls), must be a tuple, got a list")
+    elif not callable(guess):
+        array = real_array("the guess", guess)
+        if array.shape not in ((d, len(mesh)), (d, len(times))):
+            raise ValueError(
+                f"the guess must have the shape ({d}, {len(mesh)}) for values at the joints or ({d}, {len(times)}) at "
+                f"all nodes, got {array.shape}; a pair (times, values) fits any mesh, for a control problem "
+                "((times, values), None)"
+            )
+        guess = PiecewisePolynomial(mesh, nodes if array.shape[1] == len(times) else np.array([0.0, 1.0]), array)
+    if not isinstance(guess, PiecewisePolynomial):
+        values = sampled("the guess", guess, times, d)
+    elif len(guess.values) != d:
+        raise ValueError(f"the guess must be a path of {counted(d, 'component')}, got {len(guess.values)}")
+    elif np.array_equal(guess.mesh, mesh) and np.array_equal(guess.nodes, nodes):
+        values = guess.values
+    else:
+        first, last = guess.mesh[[0, -1]]
+        same = first == times[0] and last == times[-1]
+        values = guess(times if same else first + calculus.node_parts * (last - first))
+    check_finite_values("the guess", values, times)
     return values
 
 
@@ -108,33 +133,3 @@ def joined_by_lines(times: Any, values: Any, dimension: int) -> PiecewisePolynom
             f"{len(joints)} times, got {given.shape}"
         )
     return PiecewisePolynomial(joints, np.array([0.0, 1.0]), given)
-
-
-def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
-    mesh, times, nodes, d = calculus.mesh, calculus.node_times, calculus.method.element.nodes, dimension
-    if isinstance(guess, tuple) and len(guess) == 2:
-        guess = joined_by_lines(*guess, d)
-    elif isinstance(guess, Path):
-        guess = guess.polynomial
-    elif isinstance(guess, list) and any(map(callable, guess)):
-        raise TypeError("a pair as guess, such as (path, controls), must be a tuple, got a list")
-    elif not callable(guess):
-        array = real_array("the guess", guess)
-        if array.shape not in ((d, len(mesh)), (d, len(times))):
-            raise ValueError(
-                f"the guess must have the shape ({d}, {len(mesh)}) for values at the joints or ({d}, {len(times)}) at "
-                f"all nodes, got {array.shape}; a pair (times, values) fits any mesh, for a control problem "
-                "((times, values), None)"
-            )
-        if array.shape == (d, len(times)):
-            return array
-        guess = PiecewisePolynomial(mesh, np.array([0.0, 1.0]), array)
-    if not isinstance(guess, PiecewisePolynomial):
-        return sampled("the guess", guess, times, d)
-    if len(guess.values) != d:
-        raise ValueError(f"the guess must be a path of {counted(d, 'component')}, got {len(guess.values)}")
-    old = guess.mesh
-    if np.array_equal(old, mesh) and np.array_equal(guess.nodes, nodes):
-        return guess.values
-    same = old[0] == times[0] and old[-1] == times[-1]
-    return guess(times if same else old[0] + calculus.node_parts * (old[-1] - old[0]))

@@ -131,17 +131,13 @@ class Answer(Path):
         """What this mesh does not resolve, or the solver has not determined, the most telling first."""
         raise NotImplementedError
 
-    def _accuracy(self) -> Lines:
-        """A line on the known errors, or on the first doubt."""
-        known = self._errors()
-        return iter([("error", f"{known}, estimated")]) if known else islice(self._doubts(), 1)
-
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
+        errors = self._errors()
         lines = [
             ("method", str(self.method)),
             *self._lines(),
-            *self._accuracy(),
+            *([("error", f"{errors}, estimated")] if errors else islice(self._doubts(), 1)),
             ("solver", f"{self.solver}, {counted(self.iterations, 'iteration')}, {self._left.format(self)}"),
             ("seconds", f"{self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve"),
         ]
