@@ -112,7 +112,7 @@ def check_steps(roll: Roll) -> None:
     raise ConvergenceError(
         f"step {good + 1} of {n}, from t = {start} to {end}, was not solved: its residual is "
         f"{roll.residual[good]:.1e} times its roundoff floor, up to {ACCEPTED:g} is accepted. Take shorter steps "
-        "there; the path may run into a collision or another singularity",
+        "there, or another start; the path may run into a collision or another singularity",
         Path(roll.path(good)) if good else None,
         float(roll.residual[good]),
         int(np.nansum(roll.iterations[: good + 1])),

@@ -182,11 +182,7 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
 def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
     """Newton's method with natural monotonicity line search: the shot that meets the end, and its iterations."""
     start = np.concatenate((state, np.zeros(shooting.unknowns - len(state))))
-    try:
-        shot = shooting.shoot(start, velocity)
-    except ConvergenceError as error:
-        words = f"shooting failed: a step of the first path failed: {error}. Give a guess with a better start"
-        raise ConvergenceError(words, error.path, error.residual, error.iterations) from error
+    shot = shooting.shoot(start, velocity)
     for iteration in range(SEARCH_ITERATIONS):
         trial = None
         if np.any(np.abs(shot.miss) > shot.floor):

@@ -215,7 +215,7 @@ def test_a_problem_without_a_path_fails():
 
 def test_a_first_path_that_collides_fails():
     problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-1.0, 0.0])
-    with pytest.raises(cg.ConvergenceError, match=r"the first path failed: step \d of 10, from t = ") as caught:
+    with pytest.raises(cg.ConvergenceError, match=r"^step \d of 10, from t = .* another start") as caught:
         cg.shoot(problem, cg.Galerkin(4), intervals=10)
     assert 0 < caught.value.path.t[-1] < 2  # how far it got
 
