@@ -72,10 +72,8 @@ def _measured(
             quantity(of, path)
     except (RuntimeError, ValueError) as failure:  # a ConvergenceError is a RuntimeError, and so is what CasADi raises
         return replace(row, failure=str(failure)), None
-    if row.adaptive:
-        row = replace(row, method=path.method, intervals=len(path.t) - 1)
-    row = replace(row, unknowns=_unknowns(problem, path), iterations=path.iterations)
-    return replace(row, first_seconds=first, solve_seconds=seconds), path
+    found = replace(row, method=path.method, intervals=len(path.t) - 1, unknowns=_unknowns(problem, path))
+    return replace(found, iterations=path.iterations, first_seconds=first, solve_seconds=seconds), path
 
 
 def _all_measured(
