@@ -183,20 +183,26 @@ class Summation:
     def __init__(self, size: int, rows: np.ndarray, columns: np.ndarray, numbers: np.ndarray) -> None:
         inside = (rows < size) & (columns < size)
         numbers, targets = numbers[inside], columns[inside] * size + rows[inside]
-        targets, first, places = np.unique(targets, return_index=True, return_inverse=True)
+        order = np.argsort(targets, kind="stable")
+        numbers, (targets, first, counts) = (
+            numbers[order],
+            np.unique(targets[order], return_index=True, return_counts=True),
+        )
         starts = np.searchsorted(targets, size * np.arange(size + 1))
         self.sparsity = ca.Sparsity(size, size, starts.tolist(), (targets % size).tolist())
-        self._first, self._others = numbers[first].tolist(), np.delete(numbers, first).tolist()
-        into = np.delete(places, first).tolist(), range(len(self._others))
-        self._added = ca.DM(ca.Sparsity.triplet(len(targets), len(self._others), *into), 1.0)
+        self._rounds = [  # in none of which a nonzero occurs twice: where, and what is added there
+            (np.flatnonzero(counts > k).tolist(), numbers[first[counts > k] + k].tolist())
+            for k in range(counts.max(initial=1))
+        ]
 
     def matrix(self, entries: ca.MX) -> ca.MX:
-        """The matrix."""
+        """The matrix; sums are added in place, as a sum of matrices would copy all."""
+        (_, first), *others = self._rounds
         entries = ca.vec(entries)
-        first, others = (
-            ca.vec(entries.get_nz(False, at)) for at in (self._first, self._others)
-        )  # an empty one is a row
-        return ca.MX(self.sparsity, ca.mac(ca.MX(self._added), others, first))
+        values = ca.vec(entries.get_nz(False, first))  # an empty one is a row
+        for where, numbers in others:
+            values.nz[where] = values.nz[where] + entries.nz[numbers]
+        return ca.MX(self.sparsity, values)
 
 
 def _computed(numbering: Numbering, symmetric: bool) -> np.ndarray:
