@@ -121,9 +121,9 @@ class ControlRefinement(Refinement[Any, Any]):
     def trajectory(self, level: ControlTrajectory, estimate: Estimate[TwoComparisons | None]) -> ControlTrajectory:
         """The optimum of a level whose error is known."""
         assert estimate.detail is not None
-        known = estimate.detail.known
-        level.__dict__["_comparisons"] = known  # the class is frozen
-        return level.amended(error_estimate=known.errors[1], cost_error=known.errors[0])
+        cost, error = estimate.detail.errors
+        level.__dict__["_comparisons"] = estimate.detail  # the class is frozen
+        return level.amended(error_estimate=error, cost_error=cost)
 
     def answer(self, level: ControlTrajectory, error: float | None) -> ControlTrajectory:
         """The optimum on the mesh of a level, or the one that was asked for a quantity, with its error."""

@@ -53,7 +53,6 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.optimal_path import OptimalPath
-from casadi_galerkin.solution.trajectory import Comparisons
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt, sqp
 
@@ -379,7 +378,7 @@ def check_solver(solver: object) -> Solver:
     return solver
 
 
-def comparisons(solver: Solver, path: Any) -> Comparisons:
+def comparisons(solver: Solver, path: Any) -> Any:
     """A path compared with two of higher degree; errors as for `solve`, where one of these is not found."""
 
     def solved(method: Galerkin, mesh: np.ndarray) -> Any:
@@ -388,5 +387,4 @@ def comparisons(solver: Solver, path: Any) -> Comparisons:
         )
 
     *_, both = compared(path, solved)
-    known: Comparisons = both.known
-    return known
+    return both

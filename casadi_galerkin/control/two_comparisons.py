@@ -6,8 +6,9 @@ The second has an interlaced mesh: every joint gives way to two, at parts of the
 switches or meets a bound, a constraint is touched or a callable jumps, the three paths see it at different places
 between different points, and differ by about the error of the first.  Joints that have to stay, at the ends and at
 breakpoints, get another one close by, at `BESIDE_FIXED` of the interval: what happens beside them is seen by no other
-point.  The errors are `SAFETY` times the larger differences of x, of the durations and of the cost.  Where all three
-may be wrong in the same way, the errors are at least what else is known of it (`errors`).
+point.  An interval beside much shorter ones would hardly differ, and is halved.  The errors are `SAFETY` times the
+larger differences of x, of the durations and of the cost.  Where all three may be wrong in the same way, the errors are
+at least what else is known of it (`errors`).
 
 The better mesh makes the part of the better path that degree m leaves out equally large on all intervals.  It is
 known from its last Legendre coefficients, and scaled to the error.  Where the coefficients do not fall, something
@@ -36,7 +37,6 @@ from casadi_galerkin.problems.statements import AT_BOUND
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 from casadi_galerkin.solution.optimal_path import PhasesTrajectory
-from casadi_galerkin.solution.trajectory import Comparisons
 from casadi_galerkin.solvers.solver import Solver, ipopt, sqp
 
 DEGREES_ADDED = 2  # degrees added; one adds nothing to a path of the other parity
@@ -73,12 +73,13 @@ def from_near(solver: Solver, path: ControlTrajectory) -> Solver:
 
 
 def interlaced(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> np.ndarray:
-    """The mesh with two joints in place of each, and one more on either side of those that stay."""
+    """The mesh with two joints in place of each, one more on either side of those that stay, and long rests halved."""
     steps, stays = np.diff(mesh), np.isin(mesh, [mesh[0], *breakpoints, mesh[-1]])
     shorter = np.minimum(np.append(np.inf, steps), np.append(steps, np.inf))
     before = mesh[1:] - np.where(stays[1:], BESIDE_FIXED * steps, JOINT_BEFORE * shorter[1:])
     after = mesh[:-1] + np.where(stays[:-1], BESIDE_FIXED * steps, JOINT_AFTER * shorter[:-1])
-    return np.sort(np.concatenate((mesh[stays], before, after)))
+    longer = before - after > (1 - JOINT_AFTER) * steps  # than between equal intervals
+    return np.sort(np.concatenate((mesh[stays], before, after, (before + after)[longer] / 2)))
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ class TwoComparisons:
         """The last of them."""
         return self.finer[-1]
 
-    @property
+    @cached_property
     def errors(self) -> tuple[float, float]:
         """Relative errors of the cost, and of all: of cost, durations and x.
 
@@ -113,11 +114,6 @@ class TwoComparisons:
             max(self.cost_error, self._unseen, self.step_in_place**2) + of_cost,
             max(self.change, self.unseen) + of_path,
         )
-
-    @property
-    def known(self) -> Comparisons:
-        """What the path keeps of this."""
-        return Comparisons(self.finer, self.errors, self.unseen)
 
     @property
     def unseen(self) -> float:
@@ -229,11 +225,6 @@ class PhasesComparisons:
         return max(costs), max(others)
 
     @property
-    def known(self) -> Comparisons:
-        """What the path keeps of this."""
-        return Comparisons((), self.errors, max(one.unseen for one in self._each))
-
-    @property
     def step_time(self) -> float:
         """When it is."""
         return max(self._each, key=lambda one: one.step_in_place).step_time
@@ -256,18 +247,21 @@ def compared(path: Any, solve: Callable[[Galerkin, np.ndarray], Any]) -> Iterato
 def switches(path: ControlTrajectory) -> np.ndarray:
     """Times of the points between which a control comes to one of its bounds or leaves it, (K, 2).
 
-    Where it does so from point to point, as on singular arcs, nothing is known of when; nor are joints needed beside a
-    breakpoint.
+    Between the bounds the first value may be a mean of those before and after a switch.  Where it does so from point to
+    point, as on singular arcs, nothing is known of when; nor are joints needed beside a breakpoint.
     """
     low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
     u, times, marks = path.control.values, path.control.times, section_times(path.problem)
     slack = AT_BOUND * np.max(np.abs(u), axis=1, keepdims=True, initial=0.0)
     side = (u >= high - slack).astype(int) - (u <= low + slack)
     found = list[np.ndarray]()
-    for changes in np.diff(side, axis=1):
-        at = np.flatnonzero(changes)
-        runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
-        found += [times[[run[0], run[-1] + 1]] for run in runs if 0 < len(run) <= 2]
+    for at in side:
+        changes = np.flatnonzero(np.diff(at))
+        for run in np.split(changes, np.flatnonzero(np.diff(changes) > 1) + 1):
+            if 0 < len(run) <= 2:
+                first, last = run[0], run[-1] + 1
+                first, last = first - (at[first] == 0), last + (at[last] == 0)
+                found.append(times[[max(first, 0), min(last, len(times) - 1)]])
     beside = np.reshape(found, (-1, 2))
     wide = np.ptp(beside, axis=1) > np.sqrt(EPS) * np.ptp(path.t)
     return beside[wide & (np.diff(np.searchsorted(marks, beside), axis=1)[:, 0] == 0)]

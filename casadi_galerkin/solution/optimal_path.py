@@ -46,7 +46,7 @@ class OptimalPath(Answer):
     control: ControlPath
     costate: PiecewisePolynomial
     violation: float
-    find_comparisons: Callable[[Any], Comparisons]
+    find_comparisons: Callable[[Any], Any]
     path_multipliers: ControlPath | None = None
     cost_error: float | None = None
     parts: tuple[Any, ...] = ()
@@ -72,7 +72,8 @@ class OptimalPath(Answer):
         return self.error_estimate
 
     @cached_property
-    def _comparisons(self) -> Comparisons:
+    def _comparisons(self) -> Any:
+        """The path's comparison with others of higher degree: `finer`, `errors` of cost and of all, and `unseen`."""
         self._ask_whole("errors")
         try:
             return self.find_comparisons(self)
