@@ -18,7 +18,8 @@ from casadi_galerkin.calculus.mesh_adaptation import resized_mesh, resolving_int
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import is_given, map_times, with_values
+from casadi_galerkin.problems.callables import is_given
+from casadi_galerkin.problems.problem import map_times, with_values
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, relative_distance
 from casadi_galerkin.solution.trajectory import Trajectory

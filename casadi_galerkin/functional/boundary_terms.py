@@ -26,10 +26,10 @@ from casadi_galerkin.functional.functional import Functional, LocalTerm
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.functional.pointwise import PointMap
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import POSITIONS, rows_that_depend
+from casadi_galerkin.problems.callables import POSITIONS, is_given, rows_that_depend
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.legendre_transform import momentum_at
-from casadi_galerkin.problems.problem import END_MOTIONS, is_given
+from casadi_galerkin.problems.problem import END_MOTIONS
 
 
 def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: PointMap) -> Functional:

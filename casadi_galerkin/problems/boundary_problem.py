@@ -19,10 +19,17 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import components, counted, finite
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.problems import statements
-from casadi_galerkin.problems.callables import VELOCITIES, depends_on_time, pattern, too_many, with_multipliers
+from casadi_galerkin.problems.callables import (
+    VELOCITIES,
+    depends_on_time,
+    is_given,
+    pattern,
+    too_many,
+    with_multipliers,
+)
 from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.legendre_transform import generic_places, legendre_transform, singular_mass
-from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, is_given, with_values
+from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, with_values
 from casadi_galerkin.problems.statements import Statement, optional, plain
 
 Given = tuple[float | None, ...]

@@ -190,9 +190,12 @@ def of_zeros(name: str, sizes: Mapping[str, int], rows: int) -> ca.Function:
     return ca.Function(name, symbols, [ca.SX(rows, 1)], list(sizes), ["value"])
 
 
-def left_out(function: object) -> bool:
-    """Whether it is None, or the Function `of_zeros` that stands for it where a field of a problem is replaced."""
-    return function is None or (isinstance(function, ca.Function) and function.n_out() == 1 and not function.nnz_out(0))
+def is_given(value: object) -> bool:
+    """Whether anything is given: not None, nor a Function `of_zeros` that stands for it, nor a tuple of these alone."""
+    if isinstance(value, tuple):
+        return any(map(is_given, value))
+    zeros = isinstance(value, ca.Function) and value.n_out() == 1 and not value.nnz_out(0)
+    return value is not None and not zeros
 
 
 @lru_cache(64)

@@ -34,7 +34,7 @@ from casadi_galerkin.problems.callables import (
     depends_on_free,
     depends_on_time,
     entries_of,
-    left_out,
+    is_given,
     pattern,
     rows_that_depend,
     too_many,
@@ -42,7 +42,7 @@ from casadi_galerkin.problems.callables import (
 )
 from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.legendre_transform import singular_mass
-from casadi_galerkin.problems.problem import BOUNDS, END_MOTIONS, ENDS, Problem, is_given, section_times, with_values
+from casadi_galerkin.problems.problem import BOUNDS, END_MOTIONS, ENDS, Problem, section_times, with_values
 from casadi_galerkin.problems.statements import (
     FEASIBLE,
     Limited,
@@ -345,7 +345,7 @@ class ControlProblem(Problem):
     @property
     def first_order(self) -> bool:
         """Whether no Lagrangian is stated, also while the problem is read."""
-        return left_out(vars(self).get("_given", vars(self))["lagrangian"])
+        return not is_given(vars(self).get("_given", vars(self))["lagrangian"])
 
     @property
     def constraints(self) -> int:
@@ -380,7 +380,7 @@ class ControlProblem(Problem):
     @property
     def costs(self) -> bool:
         """Whether a cost is stated."""
-        return bool(self.running_cost.nnz_out(0)) or any(map(is_given, (self.initial_cost, self.terminal_cost)))
+        return is_given((self.running_cost, self.initial_cost, self.terminal_cost))
 
     @property
     def limits(self) -> Limited:

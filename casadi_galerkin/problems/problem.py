@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import check_method
 from casadi_galerkin.calculus.numbers import components, counted, finite, numbers, time_span, times_inside
-from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.callables import is_given, with_parameters
 from casadi_galerkin.problems.statements import Rule, Statement, check
 
 ENDS = ("start", "end")
@@ -76,7 +76,7 @@ class Problem(Stated):
         stated = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in UNSAID}  # type: ignore
         said = []
         for name, value in stated.items():
-            if is_given(value) and "bounds" not in name:
+            if is_given(value) and value is not False and "bounds" not in name:
                 numbers = value[1:] if isinstance(value, tuple) and callable(value[0]) else value
                 said.append(name if callable(value) or value is True else f"{name} {shown(numbers)}")
         return f"{type(self).__name__} of {counted(self.dimension, 'component')} on {self.t_span}: {', '.join(said)}"
@@ -178,13 +178,6 @@ class Problem(Stated):
 
 Copied = TypeVar("Copied", bound=Stated)
 Made = TypeVar("Made", bound=Problem)
-
-
-def is_given(value: object) -> bool:
-    """Whether anything is given: not None, nor False, nor a Function `of_zeros`, nor components that are all None."""
-    if isinstance(value, tuple):
-        return any(map(is_given, value))
-    return value is not None and value is not False and not (isinstance(value, ca.Function) and not value.nnz_out(0))
 
 
 def section_times(problem: Any) -> list[float]:

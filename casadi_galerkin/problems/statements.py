@@ -28,7 +28,7 @@ from casadi_galerkin.calculus.numbers import (
     times_inside,
 )
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.problems.callables import VELOCITIES, Traceable, entries_of, left_out, of_zeros, trace
+from casadi_galerkin.problems.callables import VELOCITIES, Traceable, entries_of, is_given, of_zeros, trace
 
 NAMES_OF_VELOCITIES = "v", "v0", "v1"
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
@@ -150,7 +150,7 @@ def function(names: str, rows: str, zeros: bool = False) -> FunctionOrNone:
     """
 
     def reader(name: str, value: Any, problem: Any) -> Any:
-        if left_out(value):
+        if not is_given(value):
             count = getattr(problem, rows, {"scalar": 1}.get(rows, 0))
             return of_zeros(name, lengths(names, problem), count) if zeros else None
         return traced(name, value, lengths(names, problem), getattr(problem, rows, rows), problem)
@@ -205,7 +205,7 @@ def limited(names: str) -> LimitedValues:
 
     def reader(name: str, value: Any, problem: Any) -> Limited:
         sizes = lengths(names, problem)
-        if value is None or (isinstance(value, tuple) and left_out(value[0])):
+        if not is_given(value):
             return of_zeros(name, sizes, 0), (), ()
         return read_limited(name, value, sizes, partial(traced, problem=problem))
 
