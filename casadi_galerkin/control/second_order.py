@@ -34,7 +34,7 @@ from casadi_galerkin.control.optimizer import ACCEPTABLE, Optimum
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.problems.statements import AT_BOUND
-from casadi_galerkin.solution.control_trajectory import COST_CHANGE, ControlTrajectory, RemainingError
+from casadi_galerkin.solution.control_trajectory import NEGLIGIBLE, ControlTrajectory, RemainingError
 from casadi_galerkin.solvers.derivatives import Sensitivity, solved
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
@@ -104,7 +104,7 @@ class SecondOrder:
     def negative(self) -> int:
         """Number of independent directions in which the cost decreases to second order.
 
-        A relative decrease of at most `COST_CHANGE`, for changes as large as the path, is not counted.
+        A relative decrease of at most `NEGLIGIBLE`, for changes as large as the path, is not counted.
         """
         matrix, _ = self._second_variation()
         return negative_pivots(matrix, factors_of(matrix.sparsity()))
@@ -155,7 +155,7 @@ class SecondOrder:
         hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, multipliers)[1]
         free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, sizes)).tolist()
         held = np.flatnonzero(_active(rows, at.bounds.equations, np.abs(rows))).tolist()
-        units, flat = (ca.diag(ca.DM(a)) for a in (_units(numbers, at, sizes), np.where(sizes > 0, COST_CHANGE, 0.0)))
+        units, flat = (ca.diag(ca.DM(a)) for a in (_units(numbers, at, sizes), np.where(sizes > 0, NEGLIGIBLE, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
         if largest == 0:

@@ -20,11 +20,8 @@ from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import UNRESOLVED, Lines, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
 
-# size over that of the largest component below which a component may be an error of the solver only
-SMALL_COMPONENT = 1e-6
-# change of the cost, over its size, up to which it counts as none, as along a singular arc; optima have less than 1e-9
-COST_CHANGE = 1e-6
-REMAINDER_FACTOR = 10.0  # size over the remaining solver error up to which a component counts as zero
+# what counts as none of the cost, by which optima that differ by `UNRESOLVED` differ, and of the largest component
+NEGLIGIBLE = UNRESOLVED * UNRESOLVED
 STEP = (
     "a callable steps, as x or v pass some value or at a given time while durations or parameters are free, and no "
     "derivative shows it: smooth the step, or state what is before and behind it as phases"
@@ -142,10 +139,10 @@ class ControlTrajectory(OptimalPath, Trajectory):
         They are one as well for a component that should be zero and is only an error of the solver.
         """
         sizes = self.polynomial.sizes
-        large = sizes >= SMALL_COMPONENT * np.max(sizes)
+        large = sizes >= NEGLIGIBLE * np.max(sizes)
         if np.all(large):
             return sizes
-        return np.where(large | (sizes > REMAINDER_FACTOR * self._remaining_error.components), sizes, 1.0)
+        return np.where(large | (sizes > self._remaining_error.components), sizes, 1.0)
 
     def table(self, times: ArrayLike | None = None) -> Columns:
         """The columns of a Trajectory, and controls and costate, after a jump there, by name."""
@@ -263,7 +260,7 @@ class ControlTrajectory(OptimalPath, Trajectory):
     @property
     def _not_optimal(self) -> bool:
         """Whether further Newton steps would change the cost by more than a solver should leave."""
-        return self.unseen_change > COST_CHANGE * self.cost_size
+        return self.unseen_change > NEGLIGIBLE * self.cost_size
 
     def _kind(self) -> str:
         """The kind of critical point, in words; none where the solver has stopped before one."""
@@ -281,7 +278,7 @@ class ControlTrajectory(OptimalPath, Trajectory):
             yield "NOT DETERMINED:", f"the remaining solver error of x {words}"
         between, finer = self.between_points, "take more intervals, or give tol"
         size, when = between.largest_step
-        if size * np.ptp(self.t) > COST_CHANGE * self.cost_size:
+        if size * np.ptp(self.t) > NEGLIGIBLE * self.cost_size:
             yield "NOT RESOLVED:", f"at t = {when:.6g} {STEP}"
         yield from self._unresolved()
         costs = max(self.cost_size, between.cost_of_forces, TINY)  # with what forces cost
