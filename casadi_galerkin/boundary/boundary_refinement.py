@@ -29,7 +29,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.error_estimate import agreement, discretization_error, roundoff_error
+from casadi_galerkin.boundary.error_estimate import (
+    REQUIRED_AGREEMENT,
+    agreement,
+    discretization_error,
+    roundoff_error,
+)
 from casadi_galerkin.boundary.failure_report import open_direction, refuse_undefined
 from casadi_galerkin.boundary.first_path import (
     COARSE_RESOLUTION,
@@ -68,8 +73,6 @@ from casadi_galerkin.solvers.solver import SolverLike
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 
 FIRST_NODES = 64  # nodes of the first mesh at any degree: fewer may miss features of the path, more cost time
-# agreement below which a mesh is halved; at 0.83 some 3 % of undetermined kinks were accepted, at 0.95 a few
-REQUIRED_AGREEMENT = 0.99
 FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls with the mesh
 SHORTEST_INTERVAL = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
 # interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
@@ -135,10 +138,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
         if largest > max(self.tol, FLOOR_FACTOR * EPS):
             return Estimate(largest, False, "Legendre coefficients", self.parts(truncation))
         self.check_time()
-        graph, floor, refined = self.graph(path), self.floor(level), not self.regular(level)
-        error, varied = discretization_error(graph, path, refined)
+        graph, floor = self.graph(path), self.floor(level)
+        error = math.hypot(discretization_error(graph, path), floor)
         self.check_time()
-        error = math.hypot(error, floor)
         self.roundoff_level = FLOOR_FACTOR * max(floor, EPS * np.max(np.abs(path.mesh)) / np.ptp(path.mesh))
         shown = zip(FRACTIONS, error_indicators(level.motion, path, level.momentum), strict=True)
         scaled = {name: indicator / FRACTIONS[name] for name, indicator in shown}
@@ -148,7 +150,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
             return Estimate(float(np.max(indicator)), False, source, parts)
         error = max(error, float(np.max(indicator)))
         if error <= self.first_tol:
-            agreed = agreement(graph, path, varied, refined)
+            agreed = agreement(graph, path)
             if agreed < REQUIRED_AGREEMENT:
                 graph.check_second_variation(level)
                 words = "responses to forces, which differ with the degree: the ends are nearly conjugate"
@@ -157,18 +159,16 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
         magnified = ": the ends are nearly conjugate" if error > 1 else ""
         return Estimate(error, True, f"degree {graph.higher.method.degree}{magnified}", self.parts(error * relative))
 
-    def regular(self, level: CriticalPoint) -> bool:
-        """Whether the path is so regular that an error of eps in its values stays far below the tolerance."""
-        return self.tol * level.solution.regularity > FLOOR_FACTOR * EPS
-
     def floor(self, level: CriticalPoint) -> float:
         """The roundoff error of the path, or zero where it is far below the tolerance; refuses a tolerance below it.
 
+        It is, where the path is so regular that an error of eps in its values stays far below the tolerance.
         The rounding of a condition, or of a given energy, is not bounded by the regularity: either may be a small
         difference of large terms.
         """
         graph = self.graph(level.polynomial)
-        if self.regular(level) and graph.numbering.free == graph.numbering.positions:
+        regular = self.tol * level.solution.regularity > FLOOR_FACTOR * EPS
+        if regular and graph.numbering.free == graph.numbering.positions:
             return 0.0
         floor = roundoff_error(graph, level.solution.unknowns, level.solution.data)
         if floor > self.tol:

@@ -12,7 +12,7 @@ from slow import slow
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.boundary_refinement import BoundaryRefinement
-from casadi_galerkin.boundary.error_estimate import agreement, discretization_error
+from casadi_galerkin.boundary.error_estimate import REQUIRED_AGREEMENT, agreement, discretization_error
 from casadi_galerkin.boundary.transcription import GraphCache
 
 TOLERANCES = (1e-3, 1e-6, 1e-12)
@@ -294,7 +294,7 @@ def test_an_estimate_without_a_newton_step_is_infinite():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.sqrt(x[0]), (0, 1), [-1.0], [1.0])
     mesh = np.linspace(0, 1, 5)
     line = cg.transcribe(problem, cg.Galerkin(2), mesh=mesh).guess_on_mesh(None, mesh)
-    assert discretization_error(cg.transcribe(problem, cg.Galerkin(6), mesh=mesh), line)[0] == np.inf
+    assert discretization_error(cg.transcribe(problem, cg.Galerkin(6), mesh=mesh), line) == np.inf
 
 
 def test_an_estimate_sums_the_newton_steps_to_come():
@@ -302,7 +302,7 @@ def test_an_estimate_sums_the_newton_steps_to_come():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 5), [0.0], [1.0])
     mesh, levels = np.linspace(0, 5, 3), GraphCache(problem)
     path = levels.solve(cg.Galerkin(4), mesh, None, cg.newton).polynomial
-    error, _ = discretization_error(levels.transcription(cg.Galerkin(8), mesh), path)
+    error = discretization_error(levels.transcription(cg.Galerkin(8), mesh), path)
     exact, times = cg.solve(problem, tol=1e-10, guess=path), np.linspace(0, 5, 101)
     true = np.max(np.abs(path(times) - exact(times))) / np.max(np.abs(path.values))
     assert 0.8 * true <= error <= 1.2 * true
@@ -347,13 +347,12 @@ def test_no_lucky_estimate_is_accepted_near_a_conjugate_point(gap, tol):
 
 
 @pytest.mark.parametrize("degree", [5, 8])
-@pytest.mark.parametrize("gap", [1e-9, *slow(1e-10)])
+@pytest.mark.parametrize("gap", [1e-9, 1e-10])
 def test_forces_move_a_nearly_conjugate_path_alike_in_two_degrees(gap, degree):
-    """As far as rounding of the terms allows; that of the Hessian's entries makes a difference of 2e-2 at 1e-10."""
+    """Rounding of the Hessian's entries makes a difference of 2e-2 at 1e-10, that of the terms none."""
     graph = cg.transcribe(nearly_conjugate(gap), cg.Galerkin(degree), 13)
     path = graph.solve().polynomial
-    _, of_higher = discretization_error(graph.higher, path)
-    assert 1 - agreement(graph, path, of_higher) <= 1e3 * EPS / gap
+    assert agreement(graph, path) >= REQUIRED_AGREEMENT
 
 
 @pytest.mark.parametrize(("order", "tol"), [(1, 1e-5), (2, 1e-9)])
