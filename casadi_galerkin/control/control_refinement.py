@@ -54,6 +54,10 @@ HARDLY_DETERMINED = (
     "The cost hardly depends on the path: ask tol of=lambda path: path.cost, add a small cost of the control, or leave "
     "out a waypoint at a free time that asks for nothing"
 )
+UNCONFIRMED = (
+    "Solve on a fixed mesh of low degree, as with cg.Galerkin(degree=3) and intervals=30, and see the errors that "
+    "estimate_error() finds there; or give a guess nearer to the path, or higher limits"
+)
 ABSOLUTE = "The solver's tolerances are absolute: measure in units in which costs and controls are about one"
 
 
@@ -234,7 +238,7 @@ class ControlRefinement(Refinement[Any, Any]):
         if self.cost_known <= self.tol and self.of is None:
             words = f"the cost is known to {self.cost_known:.0e}, which is all that of=lambda path: path.cost asks for"
             reason += f" (only the path changes: {words})"
-        return super().stopped(reason, level, error, hint)
+        return super().stopped(reason, level, error, UNCONFIRMED if np.isinf(error) and hint is HINT else hint)
 
     def run(self, mesh: np.ndarray, guess: Guess | None, starts: int) -> Any:
         """Refine the path of one start or, of several starts, the best on the first mesh that can be refined.

@@ -56,8 +56,9 @@ class LimitReached(ConvergenceError):
     """A refinement was stopped before it reached its tolerance; another guess for the same path would not help.
 
     Its `path` is the best so far: the Trajectory or ControlTrajectory that solves its own mesh, with the error reached
-    as its `error_estimate`, or its `asked_error` where the tolerance was that of a quantity.  Where the time was up
-    before there was one, or where the path on that mesh is not isolated, it is as for other errors.
+    as its `error_estimate`, or its `asked_error` where the tolerance was that of a quantity; of an optimum, what the
+    first of two comparisons shows of it, which may be less.  Where the time was up before there was one, or where the
+    path on that mesh is not isolated, it is as for other errors.
 
     Examples
     --------
