@@ -25,7 +25,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.problems.callables import VELOCITIES, rows_that_depend
+from casadi_galerkin.problems.callables import rows_that_depend
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Joins
 from casadi_galerkin.problems.problem import ENDS
@@ -166,7 +166,7 @@ class Chain:
             )
         along = problem.running_cost, problem.limits[0]
         of_rates = np.arange(self.dimension) >= self.mechanical
-        self.velocities_of_rates = any(rows_that_depend(f, VELOCITIES, of_rates).any() for f in along)
+        self.velocities_of_rates = any(rows_that_depend(f, "v", of_rates).any() for f in along)
         self._number(of_ends)
 
     def _number(self, of_ends: str) -> None:

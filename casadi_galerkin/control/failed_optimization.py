@@ -19,7 +19,7 @@ from casadi_galerkin.control.control_numbering import Numbering, Stages, located
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.pointwise import at_places
-from casadi_galerkin.problems.callables import CONTROLS, POSITIONS, VELOCITIES, entries_within
+from casadi_galerkin.problems.callables import entries_within
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.statements import FEASIBLE
 from casadi_galerkin.solution.control_path import ControlPath
@@ -49,7 +49,7 @@ UNDEFINED_SOMEWHERE = frozenset(
 AVOID = "Give a guess that avoids it, or add a small number under a root, as in sqrt(sumsqr(u) + 1e-4) for a norm"
 UNBOUNDED = "; the cost may have no lower bound"
 BENT = ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE
-KINKS = {CONTROLS: (ca.OP_SQRT, *BENT), POSITIONS: BENT, VELOCITIES: BENT}  # operations whose derivatives may jump
+KINKS = {"u": (ca.OP_SQRT, *BENT), "x": BENT, "v": BENT}  # operations whose derivatives may jump
 SMOOTH = (
     "holds fabs, fmax, fmin, a comparison, or a root or norm of controls, and its derivative may jump there: write "
     "sqrt(z**2 + 1e-6) for fabs(z), put a small number under a root, as in sqrt(sumsqr(u) + 1e-4), and for fmax(a, b) "
@@ -105,7 +105,7 @@ def kink_hint(problem: ControlProblem) -> str | None:
     if any(entries_within(problem.running_cost, argument, kinks) for argument, kinks in KINKS.items()):
         return f"The running cost {SMOOTH}"
     cost = problem.terminal_cost
-    if cost is not None and any(entries_within(cost, argument, BENT) for argument in (POSITIONS, VELOCITIES)):
+    if cost is not None and any(entries_within(cost, argument, BENT) for argument in ("x", "v")):
         return f"The terminal cost {SMOOTH}"
     return None
 

@@ -26,7 +26,7 @@ from casadi_galerkin.functional.functional import Functional, LocalTerm
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.functional.pointwise import PointMap
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import POSITIONS, is_given, rows_that_depend
+from casadi_galerkin.problems.callables import is_given, rows_that_depend
 from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.problem import END_MOTIONS
@@ -111,7 +111,7 @@ class _Statement:
         groups = {every: list(range(1, last))}
         for node, fixed in zip((0, last), self.fixed, strict=True):
             free = ~np.isin(np.arange(self.problem.dimension), fixed)
-            depend = np.flatnonzero(rows_that_depend(self.problem.constraint, POSITIONS, free))
+            depend = np.flatnonzero(rows_that_depend(self.problem.constraint, "x", free))
             groups.setdefault(tuple(depend.tolist()), []).append(node)
         return {rows: nodes for rows, nodes in groups.items() if rows and nodes}
 

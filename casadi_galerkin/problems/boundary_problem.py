@@ -19,14 +19,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import components, counted, finite
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.problems import statements
-from casadi_galerkin.problems.callables import (
-    VELOCITIES,
-    depends_on_time,
-    is_given,
-    pattern,
-    too_many,
-    with_multipliers,
-)
+from casadi_galerkin.problems.callables import depends_on_time, is_given, pattern, too_many, with_multipliers
 from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.legendre_transform import generic_places, legendre_transform, singular_mass
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, Problem, with_values
@@ -79,7 +72,7 @@ def _coupled_velocities(problem: BoundaryProblem) -> Iterator[str]:
     for end in ENDS:
         given = np.array([value is not None for value in getattr(problem, f"{end}_velocity")])
         if given.any():
-            coupled = pattern(legendre_transform(problem.with_multipliers().lagrangian), VELOCITIES)[given].any(axis=0)
+            coupled = pattern(legendre_transform(problem.with_multipliers().lagrangian), 2)[given].any(axis=0)
             if (coupled & ~given).any():
                 yield (
                     f"{end}_velocity[{np.argmax(given)}] is given, and by the mass matrix its momentum depends on that "

@@ -25,7 +25,6 @@ Rows: TypeAlias = Literal["scalar", "any"]
 TRUTH_VALUES = frozenset({ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR})
 Value = TypeVar("Value", ca.SX, ca.MX)
 
-TIME, POSITIONS, VELOCITIES, CONTROLS = range(4)  # the arguments t, x, v, u of a callable
 STEPPING = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD)
 ADVICE = (
     "Write it with CasADi's functions of SX, such as casadi.cos, casadi.if_else and casadi.dot(v, v), not with math or "
@@ -204,7 +203,8 @@ def with_multipliers(function: ca.Function, parameters: int, count: int, integra
     symbols, mu = function.sx_in(), ca.SX.sym("mu", count)
     added = 0 if integrands is None else ca.dot(mu, integrands(*symbols))
     inputs = [*symbols[:-1], ca.vertcat(symbols[-1], mu)] if parameters else [*symbols, mu]
-    return ca.Function(function.name(), inputs, [function(*symbols) + added])
+    names = function.name_in() if parameters else [*function.name_in(), "p"]
+    return ca.Function(function.name(), inputs, [function(*symbols) + added], names, ["value"])
 
 
 @lru_cache(64)  # so that what is derived from the Function, and kept by it, is found again
@@ -212,24 +212,30 @@ def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None)
     """Insert the parameters p, the last argument of a callable; without parameters or Function nothing changes."""
     if parameters is None or function is None:
         return function
-    symbols = function.sx_in()[:-1]
-    return ca.Function(function.name(), symbols, function.call([*symbols, ca.SX(ca.DM(parameters))]))
+    *symbols, _ = function.sx_in()
+    values, names = function.call([*symbols, ca.SX(ca.DM(parameters))]), function.name_in()[:-1]
+    return ca.Function(function.name(), symbols, values, names, function.name_out())
 
 
-def entries_of(function: ca.Function, argument: int) -> set[int]:
-    """Which entries of an argument the values of a Function depend on."""
-    return {i for k in range(function.n_out()) for i in function.sparsity_jac(argument, k).get_col()}
+def _number(function: ca.Function, argument: int | str) -> int:
+    return function.index_in(argument) if isinstance(argument, str) else argument
 
 
-def pattern(function: ca.Function, argument: int) -> np.ndarray:
+def entries_of(function: ca.Function, argument: int | str) -> set[int]:
+    """Which entries of an argument, given by number or name, the values of a Function depend on."""
+    number = _number(function, argument)
+    return {i for k in range(function.n_out()) for i in function.sparsity_jac(number, k).get_col()}
+
+
+def pattern(function: ca.Function, argument: int | str) -> np.ndarray:
     """Which values of a Function depend on which entries of an argument; (values, entries)."""
-    sparsity = function.sparsity_jac(argument, 0)
+    sparsity = function.sparsity_jac(_number(function, argument), 0)
     depend = np.zeros(sparsity.shape, dtype=bool)
     depend[sparsity.get_triplet()] = True
     return depend
 
 
-def rows_that_depend(function: ca.Function | None, argument: int, chosen: ArrayLike) -> np.ndarray:
+def rows_that_depend(function: ca.Function | None, argument: int | str, chosen: ArrayLike) -> np.ndarray:
     """Which values of a Function depend on the chosen entries of an argument, (values,); that of None has no values."""
     if function is None:
         return np.zeros(0, dtype=bool)
@@ -258,14 +264,14 @@ def too_many(name: str, uses: np.ndarray, free: np.ndarray) -> Iterator[str]:
         )
 
 
-def entries_within(function: ca.Function, argument: int, operations: Collection[int]) -> set[int]:
+def entries_within(function: ca.Function, argument: int | str, operations: Collection[int]) -> set[int]:
     """Which entries of an argument some operations in a traced Function are applied to, or to what depends on them."""
-    held: dict[int, set[int]] = {}
-    found: set[int] = set()
+    held, found = dict[int, set[int]](), set[int]()
+    number = _number(function, argument)
     for k in range(function.n_instructions()):
         operation, inputs = function.instruction_id(k), function.instruction_input(k)
         if operation == ca.OP_INPUT:
-            entries = {inputs[1]} if inputs[0] == argument else set()
+            entries = {inputs[1]} if inputs[0] == number else set()
         else:
             entries = set().union(*(held.get(i, set()) for i in inputs))
         if operation in operations:

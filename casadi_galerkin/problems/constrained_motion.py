@@ -23,7 +23,6 @@ from casadi_galerkin.calculus.numbers import APART, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
 from casadi_galerkin.problems.callables import (
-    POSITIONS,
     depends_on_free,
     depends_on_time,
     rows_that_depend,
@@ -45,7 +44,7 @@ def impossible_constraint(problem: Any) -> Iterator[str]:
     d, k = problem.dimension, problem.constraint.size1_out(0)
     if k >= d:
         yield f"a constraint must leave the path free to move: {counted(k, 'value')} for {counted(d, 'component')}"
-    constant = np.flatnonzero(~rows_that_depend(problem.constraint, POSITIONS, np.ones(d, dtype=bool)))
+    constant = np.flatnonzero(~rows_that_depend(problem.constraint, "x", np.ones(d, dtype=bool)))
     if len(constant):
         yield f"the constraint must depend on x, but constraint[{constant[0]}] does not: no path can be held to it"
 
@@ -77,7 +76,7 @@ def constraint_at_ends(problem: Any) -> Iterator[str]:
     for k, (name, (t, x, v, p)) in enumerate(ends.items()):
         (time, place), velocity, free = function.sx_in(), ca.SX.sym("v", d), np.isnan(x)
         stated, known = f"x = {list(getattr(problem, name))}", ~depends_on_free(problem.constraint, (t, x, p))
-        unknowns, conditions = (int(np.sum(a)) for a in (free, rows_that_depend(function, POSITIONS, free)))
+        unknowns, conditions = (int(np.sum(a)) for a in (free, rows_that_depend(function, "x", free)))
         if conditions > unknowns:
             yield (
                 f"{name} = {stated[4:]} leaves {counted(unknowns, 'component')} free, on which "

@@ -22,15 +22,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.numbers import components as checked_components
-from casadi_galerkin.calculus.numbers import counted, times_inside, whole_number
+from casadi_galerkin.calculus.numbers import components, counted, times_inside, whole_number
 from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.problems import statements
 from casadi_galerkin.problems.callables import (
-    CONTROLS,
-    POSITIONS,
-    TIME,
-    VELOCITIES,
     depends_on_free,
     depends_on_time,
     entries_of,
@@ -43,16 +38,7 @@ from casadi_galerkin.problems.callables import (
 from casadi_galerkin.problems.constrained_motion import constraint_at_ends, impossible_constraint
 from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import BOUNDS, END_MOTIONS, ENDS, Problem, section_times, with_values
-from casadi_galerkin.problems.statements import (
-    FEASIBLE,
-    Limited,
-    Statement,
-    is_limited,
-    keeps_to,
-    optional,
-    plain,
-    within,
-)
+from casadi_galerkin.problems.statements import Limited, Statement, is_limited, optional, plain, within
 
 
 def _breakpoints(name: str, value: Any, problem: ControlProblem) -> tuple[float, ...]:
@@ -66,7 +52,7 @@ def _start(name: str, value: Any, problem: ControlProblem) -> tuple[float | None
     count = problem.components
     if count is None and value is None:
         raise TypeError("give start, or the number of `components` where all of it is free, got neither")
-    return (None,) * (count or 0) if value is None else checked_components(name, value, count)
+    return (None,) * (count or 0) if value is None else components(name, value, count)
 
 
 def _beside_a_constraint(problem: Any) -> Iterator[str]:
@@ -106,7 +92,7 @@ def _velocities_of_rates(problem: Any) -> Iterator[str]:
 
 def _unused(problem: Any) -> Iterator[str]:
     """A control or a free parameter that nothing depends on: its value would be arbitrary."""
-    for i in sorted(set(range(problem.controls)).difference(*(entries_of(f, CONTROLS) for f in problem.along))):
+    for i in sorted(set(range(problem.controls)).difference(*(entries_of(f, "u") for f in problem.along))):
         yield f"the control u[{i}] occurs in no force, rate, cost or constraint"
     for i in np.flatnonzero(np.less(*(problem.parameter_bounds or ((), ())))).tolist():
         if not any(i in entries_of(f, f.n_in() - 1) for _, f in _functions(problem)):
@@ -147,25 +133,23 @@ def _impulses(problem: Any) -> Iterator[str]:
     bounds determines is not known; and held controls are no impulses.
     """
     users, limits = [problem.running_cost, problem.limits[0]], problem.limits[1:]
-    costs = any(entries_of(problem.running_cost, k) for k in (POSITIONS, VELOCITIES))
+    costs = any(entries_of(problem.running_cost, k) for k in ("x", "v"))
     to_gain = costs or problem.terminal_cost is not None or problem.duration_bounds is not None
-    by_x, by_v, by_u = (
-        np.any(np.vstack([pattern(user, k) for user in users]), axis=0) for k in (POSITIONS, VELOCITIES, CONTROLS)
-    )
+    by_x, by_v, by_u = (np.any(np.vstack([pattern(user, k) for user in users]), axis=0) for k in ("x", "v", "u"))
     limited = by_u | np.isfinite([*problem.control_bounds, *problem.control_rate_bounds]).any(axis=0)
     if problem.hold or limited.all() or not to_gain or np.equal(*limits).any():
         return
     rated = np.arange(problem.dimension) >= problem.mechanical
-    drives = np.vstack([pattern(rule, CONTROLS) for rule in (problem.force, problem.rates)])
+    drives = np.vstack([pattern(rule, "u") for rule in (problem.force, problem.rates)])
     limited |= (drives & (rated & by_v)[:, None]).any(axis=0)
     counts = np.where(rated, by_x | np.isfinite(problem.position_bounds).any(axis=0), by_v)
     velocities = np.array([problem.start_velocity, problem.end_velocity], dtype=float)
     given = np.isfinite(np.where(rated, problem.given_positions, velocities)).any(axis=0)
     symbols = problem.force.sx_in()
-    moves = ca.jacobian(ca.vertcat(problem.force(*symbols), problem.rates(*symbols)), symbols[CONTROLS])
+    moves = ca.jacobian(ca.vertcat(problem.force(*symbols), problem.rates(*symbols)), symbols[3])
     for i in np.flatnonzero(~limited).tolist():
         impulsive = np.any(drives[:, i] & given) or not np.any(drives[:, i] & counts)
-        if impulsive and not ca.depends_on(moves[:, i], symbols[CONTROLS][i]):
+        if impulsive and not ca.depends_on(moves[:, i], symbols[3][i]):
             yield (
                 f"nothing limits the control u[{i}], so that it would act as an impulse: neither running_cost nor "
                 "path_constraint depends on it, and it has no bounds. Give control_bounds, or a running_cost that "
@@ -184,7 +168,7 @@ def _given_outside(problem: Any) -> Iterator[str]:
         phase, size = ("", 0.0) if name != "the duration" else (" of the phase from {} to {}", np.abs(times).max())
         sides = getattr(problem, kind)
         for i, (value, low, high) in enumerate(zip(values, *sides, strict=True) if sides is not None else ()):
-            if value is not None and not keeps_to(value, low, high, size):
+            if value is not None and not statements.keeps_to(value, low, high, size):
                 place = phase.format(*times[i : i + 2]) if phase else f"[{i}]"
                 place = "" if phase and len(times) == 2 else place
                 yield f"{name}{place} = {value} lies outside its {kind} [{low}, {high}]"
@@ -209,7 +193,7 @@ def _outside(limited: Limited, given: Sequence[Any], name: str, where: str) -> I
     if not low:  # its sparsity is not looked up in every repeated solve
         return
     values, sizes = values_given(g, given), np.abs([low, high])
-    accepted = FEASIBLE * or_one(np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=0))
+    accepted = statements.FEASIBLE * or_one(np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=0))
     for i in np.flatnonzero(np.isfinite(values)).tolist():  # a ratio may be 0/0 at an end
         if not low[i] - accepted[i] <= values[i] <= high[i] + accepted[i]:
             yield f"{name} {i} is {values[i]} {where}, outside its bounds [{low[i]}, {high[i]}]"
@@ -234,9 +218,9 @@ OF_VALUES = _given_outside, constraint_at_ends, _functions_of_given_ends
 def _with_velocities(g: ca.Function, rates: ca.Function, bounded: tuple[int, ...]) -> ca.Function:
     """Path constraints, and some velocities; those of the last components are their rates."""
     symbols = g.sx_in()
-    rated, v = rates(*symbols), symbols[VELOCITIES]
+    rated, v = rates(*symbols), symbols[2]
     velocities = ca.vertcat(v[: v.numel() - rated.numel(), 0], rated)
-    return ca.Function("limits", symbols, [ca.vertcat(g(*symbols), velocities[list(bounded)])])
+    return ca.Function("limits", symbols, [ca.vertcat(g(*symbols), velocities[list(bounded)])], g.name_in(), ["value"])
 
 
 @dataclass(frozen=True, repr=False)
@@ -371,7 +355,7 @@ class ControlProblem(Problem):
         """
         if self.constraint is None:
             return [(np.zeros(0, dtype=bool),) * 2] * 2
-        at_rest, ends = ~rows_that_depend(self.constraint, TIME, [True]), []
+        at_rest, ends = ~rows_that_depend(self.constraint, "t", [True]), []
         for t, x, v, p in self.given_at_ends.values():
             satisfied = ~depends_on_free(self.constraint, (t, x, p))
             ends.append((satisfied, (satisfied & ~np.isnan(v).any()) | (at_rest & bool(np.all(v == 0)))))
@@ -414,13 +398,13 @@ class ControlProblem(Problem):
         """
         (g, low, high), spoken = self.path_constraint, self.end_conditions[0]
         equal, rows = np.equal(low, high), list[list[int]]()
-        excluded = equal & (np.count_nonzero(equal) >= self.controls) | rows_that_depend(g, TIME, [True])
-        excluded |= rows_that_depend(g, CONTROLS, np.ones(self.controls, dtype=bool))
+        excluded = equal & (np.count_nonzero(equal) >= self.controls) | rows_that_depend(g, "t", [True])
+        excluded |= rows_that_depend(g, "u", np.ones(self.controls, dtype=bool))
         rated = np.arange(self.dimension) >= self.mechanical
         for k, (_, x, v, _) in enumerate(self.given_at_ends.values()):
             stated_x, stated_v = (pattern(spoken, i).any(axis=0) for i in (2 * k, 2 * k + 1))
-            stated = rows_that_depend(g, POSITIONS, stated_x) | rows_that_depend(g, VELOCITIES, stated_v | rated)
-            free = rows_that_depend(g, POSITIONS, np.isnan(x)) | rows_that_depend(g, VELOCITIES, np.isnan(v))
+            stated = rows_that_depend(g, "x", stated_x) | rows_that_depend(g, "v", stated_v | rated)
+            free = rows_that_depend(g, "x", np.isnan(x)) | rows_that_depend(g, "v", np.isnan(v))
             costs = k == 1 or self.initial_cost is not None
             rows.append(np.flatnonzero(free & ~excluded & ~stated).tolist() if costs else [])
         return rows

@@ -28,7 +28,7 @@ from casadi_galerkin.calculus.numbers import (
     times_inside,
 )
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.problems.callables import VELOCITIES, Traceable, entries_of, is_given, of_zeros, trace
+from casadi_galerkin.problems.callables import Traceable, entries_of, is_given, of_zeros, trace
 
 NAMES_OF_VELOCITIES = "v", "v0", "v1"
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
@@ -172,8 +172,8 @@ def lagrangian(name: str, value: Any, problem: Any) -> ca.Function:
     if problem.first_order:
         return of_zeros(name, lengths("t x v", problem), 1)
     L = traced(name, value, lengths("t x v", problem), count and "scalar", problem)
-    used = entries_of(L, VELOCITIES)
-    given = entries_of(conditions[0], VELOCITIES) if conditions else set()
+    used = entries_of(L, "v")
+    given = entries_of(conditions[0], "v") if conditions else set()
     ignored = ", ".join(f"v[{i}]" for i in range(count) if i not in used | given)
     if ignored:
         rated = ", nor is its rate among the rates, which are those of the last components"

@@ -16,7 +16,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, s
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.functional.interval import SlopeBasis
 from casadi_galerkin.functional.pointwise import at_places
-from casadi_galerkin.problems.callables import CONTROLS, VELOCITIES, rows_that_depend
+from casadi_galerkin.problems.callables import rows_that_depend
 from casadi_galerkin.problems.constrained_motion import equations_of_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.statements import AT_BOUND, bound_excess
@@ -122,9 +122,7 @@ class BetweenPoints:
         It is that of positions, and of path constraints on positions alone or that no quadrature point near by meets.
         """
         constraint, low, high = self.problem.path_constraint
-        moving = [
-            rows_that_depend(constraint, k, np.ones(constraint.numel_in(k), dtype=bool)) for k in (VELOCITIES, CONTROLS)
-        ]
+        moving = [rows_that_depend(constraint, k, np.ones(constraint.numel_in(k), dtype=bool)) for k in ("v", "u")]
         values, places = self.path_constraints(self.path.method.element.points), np.arange(len(self.path.t) - 1)
         distances = [np.min(np.abs(values - np.reshape(side, (-1, 1, 1))), axis=2) for side in (low, high)]
         met = np.pad(np.min(distances, axis=0) <= AT_BOUND * self.constraint_changes, ((0, 0), (1, 1)))

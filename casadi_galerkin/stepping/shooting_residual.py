@@ -38,7 +38,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.boundary_terms import rows_of_ends
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import POSITIONS, rows_that_depend
+from casadi_galerkin.problems.callables import rows_that_depend
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import guess_values
 from casadi_galerkin.solution.orbit_phase import phase_plane
@@ -181,7 +181,7 @@ def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Func
         further = ca.vertcat(further, ca.jtimes(constraint(times[0], x[0]), x[0], p[0]))
     for k, values in enumerate(given):
         free = np.array([value is None for value in values])
-        bound = rows_that_depend(constraint, POSITIONS, free)
+        bound = rows_that_depend(constraint, "x", free)
         pushes = ca.SX(d, 1)
         for chosen, place, pushed in ((bound, x[k], free), (~bound & (k == 1), held, ~free)):
             if constraint is not None and chosen.any():
