@@ -41,7 +41,7 @@ from casadi_galerkin.problems.problem import map_times, section_times, with_valu
 from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, Limits
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess
-from casadi_galerkin.solution.optimal_path import PhasesTrajectory
+from casadi_galerkin.solution.optimal_path import OptimalPath
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
@@ -110,8 +110,6 @@ class ControlRefinement(Refinement[Any, Any]):
         verbose: int,
         of: Quantity | None = None,
     ) -> None:
-        if of is not None and isinstance(problem, Phases):
-            raise ValueError("of is asked of the path of one problem, and not of Phases")
         self.problem = without_idle_breakpoints(problem)
         super().__init__(tol, method, self.problem.breakpoints, limits, verbose, of)
         if of is not None:  # it may be known long before the path
@@ -131,7 +129,7 @@ class ControlRefinement(Refinement[Any, Any]):
 
     def answer(self, level: ControlTrajectory, error: float | None) -> ControlTrajectory:
         """The optimum on the mesh of a level, or the one that was asked for a quantity, with its error."""
-        if isinstance(self.asked, ControlTrajectory):
+        if isinstance(self.asked, OptimalPath):
             return self.asked
         return level if level.error_estimate is not None else replace(level, error_estimate=error)
 
@@ -142,7 +140,7 @@ class ControlRefinement(Refinement[Any, Any]):
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Any) -> ControlTrajectory:
         """Solve with one method on one mesh within the phases of the problem."""
         transcription = ControlTranscription(self.problem, method, mesh, one_by_one)
-        known = isinstance(guess, (ControlTrajectory, PhasesTrajectory))
+        known = isinstance(guess, OptimalPath)
         solver = from_near(self.solver, guess) if known else self.solver
         enough = min(SOLVER_FRACTION * self.goal, np.sqrt(EPS))  # slopes of √EPS change a cost by its rounding
         early = known and self.of is not None and enough > ACCEPTABLE and not self.solver_error_prevails

@@ -206,7 +206,7 @@ class PhasesComparisons:
 
     path: PhasesTrajectory
     finer: tuple[PhasesTrajectory, ...]
-    change, step_in_place = _largest("change"), _largest("step_in_place")
+    change, step_in_place, unseen = map(_largest, ("change", "step_in_place", "unseen"))
 
     @cached_property
     def _each(self) -> list[TwoComparisons]:
@@ -228,6 +228,10 @@ class PhasesComparisons:
     def step_time(self) -> float:
         """When it is."""
         return max(self._each, key=lambda one: one.step_in_place).step_time
+
+    def of_cost(self, change: float) -> float:
+        """A change of the cost relative to its size."""
+        return max(one.of_cost(change) for one in self._each)
 
     def mesh(self, tol: float, goal: float, least: float) -> np.ndarray:
         """Joints of all phases, with which x should be known to `tol`."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -16,7 +15,6 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.statements import FEASIBLE
 from casadi_galerkin.solution.export import Columns, by_component
 from casadi_galerkin.solution.optimal_path import OptimalPath
-from casadi_galerkin.solution.quantity import Quantity
 from casadi_galerkin.solution.trajectory import UNRESOLVED, Lines, Trajectory
 from casadi_galerkin.solution.violations_between_points import BetweenPoints
 
@@ -98,8 +96,6 @@ class ControlTrajectory(OptimalPath, Trajectory):
     1.0
     """
 
-    comparison_factor: ClassVar = 2.0  # on 44 paths with bends, touches and switches no error was above twice these
-
     problem: ControlProblem
     hamiltonian: np.ndarray
     start_velocity: np.ndarray
@@ -109,15 +105,6 @@ class ControlTrajectory(OptimalPath, Trajectory):
     def _remaining_error(self) -> RemainingError:
         """The remaining solver errors."""
         return self.variations.remaining_error(self.number)
-
-    def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray, float]:
-        """A quantity, its error and its size; those of the cost are known beside the two comparisons."""
-        value, change, size = super()._known(of)
-        if value.shape or value != self.cost:
-            return value, change, size
-        self.estimate_error()
-        assert self.cost_error is not None
-        return value, np.array(self.cost_error * self.cost_size), self.cost_size
 
     @property
     def unseen_change(self) -> float:
@@ -240,7 +227,6 @@ class ControlTrajectory(OptimalPath, Trajectory):
             where = " between breakpoints" if self.problem.breakpoints else ""
             varies = f"varies by {self._hamiltonian_change:.1e}{where}"
             yield "Hamiltonian", f"{self.hamiltonian[0]:.9g} at the start, {varies}"
-        yield from self._asked()
         what = "momentum" if self.problem.mechanical else "value"
         yield "defect", f"{self._worst(self.dynamics_defect)}, of the largest {what}"
         if np.max(self.constraint_excess) > FEASIBLE:  # solvers leave as much

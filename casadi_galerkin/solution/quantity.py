@@ -73,7 +73,7 @@ def _rounded(path: Any, rounding: float) -> Any:
     random, own = np.random.default_rng(0), path.polynomial
 
     def moved(value: np.ndarray) -> np.ndarray:
-        size = np.max(np.abs(value), axis=-1, initial=0.0, keepdims=True)
+        size = np.max(np.nan_to_num(np.abs(value)), axis=-1, initial=0.0, keepdims=True)
         return np.asarray(value + rounding * random.choice((-1.0, 1.0), np.shape(value)) * size)
 
     numbers = {entry.name: getattr(path, entry.name) for entry in fields(path)}

@@ -69,10 +69,12 @@ class Answer(Path):
 
     Attributes
     ----------
-    iterations, residual, solver, build_seconds, solve_seconds, method, problem, error_estimate : as of a `Trajectory`
+    iterations, residual, solver, build_seconds, solve_seconds, method, problem : as of a `Trajectory`
+    error_estimate, asked, asked_error : as well
     variations : what knows its second variation
     """
 
+    comparison_factor: ClassVar = 1.0  # estimated errors over differences to the paths of a higher degree
     _left: ClassVar = "residual {0.residual:.1g} times its roundoff floor"  # by the solver
 
     iterations: int
@@ -84,6 +86,8 @@ class Answer(Path):
     problem: Problem | Phases
     variations: Any = None
     error_estimate: float | None = None
+    asked: np.ndarray | float | None = None
+    asked_error: float | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -95,6 +99,59 @@ class Answer(Path):
         path = replace(self, **changes)
         path.__dict__.update((name, kept) for name, kept in vars(self).items() if name not in path.__dict__)
         return path
+
+    def error_of(self, of: Quantity) -> np.ndarray:
+        """Estimate the error of any quantity of the path: its difference to that of a path of a higher degree.
+
+        That path has the same mesh; it is found once and kept for the next question.  The error is no smaller than what
+        the quantity is changed by the rounding of the path.  Where an error indicator of
+        `estimate_error` is larger than the difference of x, as at a kink, the error is at least that, relative to the
+        largest entry.  Of a ControlTrajectory it is twice the larger difference to two paths of higher degree, and at
+        least what `estimate_error` knows beside these.
+
+        Parameters
+        ----------
+        of : callable, a path -> a number, or an array whose shape does not depend on the mesh, such as
+            ``lambda path: path.momentum[:, -1]``
+
+        Returns
+        -------
+        array of the shape of the quantity, in its units; infinite where no path of a higher degree is found
+
+        Raises
+        ------
+        TypeError, ValueError
+            where the quantity is not finite or no array of numbers, or has another shape on another path
+
+        Examples
+        --------
+        >>> import casadi as ca
+        >>> import casadi_galerkin as cg
+        >>> swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 10), start=[0.0], end=[1.0])
+        >>> path = cg.solve(swing, cg.Galerkin(degree=5), intervals=10)
+        >>> print(f"{path.estimate_error():.0e}, {path.error_of(lambda path: path.momentum[0, -1]):.0e}")
+        5e-06, 5e-08
+        """
+        return self._known(of)[1]
+
+    def asked_for(self: Kind, of: Quantity) -> Kind:
+        """The path with a quantity `asked`, and its error."""
+        value, change, size = self._known(of)
+        asked = value if value.ndim else value.item()
+        return self.amended(asked=asked, asked_error=float(np.max(change)) / (size or 1.0))
+
+    def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray, float]:
+        """A quantity, its error as `error_of` has it, and its size."""
+        check_quantity(of)
+        rounding = EPS if self.variations is None else min(self.variations.rounding(), 1.0)
+        value, change = largest_difference(of, self, self._comparisons.finer, rounding)
+        size = size_of(value)
+        return value, np.maximum(self.comparison_factor * change, self._comparisons.unseen * size), size
+
+    @cached_property
+    def _comparisons(self) -> Any:
+        """The path's comparison with others of higher degree: `finer`, `errors` of cost and of all, and `unseen`."""
+        raise NotImplementedError
 
     @cached_property
     def morse_index(self) -> int | None:
@@ -111,6 +168,12 @@ class Answer(Path):
         For an optimization it is that of the cost; see `ControlTrajectory`.
         """
         return None if self.variations is None else self.variations.negative()
+
+    def _asked(self) -> Lines:
+        """The quantity that was asked for, if any."""
+        if self.asked is not None:
+            value = np.array2string(np.array(self.asked), precision=12, threshold=6, edgeitems=2).replace("\n", "")
+            yield "asked", f"{value}, error {self.asked_error:.1e} of its size, estimated"
 
     def _kind(self) -> str:
         """The kind of critical point, in words."""
@@ -137,6 +200,7 @@ class Answer(Path):
         lines = [
             ("method", str(self.method)),
             *self._lines(),
+            *self._asked(),
             *([("error", f"{errors}, estimated")] if errors else islice(self._doubts(), 1)),
             ("solver", f"{self.solver}, {counted(self.iterations, 'iteration')}, {self._left.format(self)}"),
             ("seconds", f"{self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve"),
@@ -185,15 +249,11 @@ class Trajectory(Answer):
     True
     """
 
-    comparison_factor: ClassVar = 1.0  # estimated errors over differences to the paths of a higher degree
-
     momentum: np.ndarray
     action: float
     problem: Problem
     missed: float = 0.0  # what shooting misses the end by, relative to the size of the path
     find_finer: Callable[[Trajectory], tuple[Trajectory, ...]] | None = None  # paths of a higher degree
-    asked: np.ndarray | float | None = None
-    asked_error: float | None = None
     integral_multipliers: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def estimate_error(self) -> float:
@@ -213,54 +273,6 @@ class Trajectory(Answer):
         error = max(difference, self._least_error)
         self.__dict__["error_estimate"] = error  # the class is frozen
         return error
-
-    def error_of(self, of: Quantity) -> np.ndarray:
-        """Estimate the error of any quantity of the path: its difference to that of a path of a higher degree.
-
-        That path has the same mesh; it is found once and kept for the next question.  The error is no smaller than what
-        the quantity is changed by the rounding of the path.  Where an error indicator of
-        `estimate_error` is larger than the difference of x, as at a kink, the error is at least that, relative to the
-        largest entry.  Of a ControlTrajectory it is twice the larger difference to two paths of higher degree, and at
-        least what `estimate_error` knows beside these.
-
-        Parameters
-        ----------
-        of : callable, a path -> a number, or an array whose shape does not depend on the mesh, such as
-            ``lambda path: path.momentum[:, -1]``
-
-        Returns
-        -------
-        array of the shape of the quantity, in its units; infinite where no path of a higher degree is found
-
-        Raises
-        ------
-        TypeError, ValueError
-            where the quantity is not finite or no array of numbers, or has another shape on another path
-
-        Examples
-        --------
-        >>> import casadi as ca
-        >>> import casadi_galerkin as cg
-        >>> swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 10), start=[0.0], end=[1.0])
-        >>> path = cg.solve(swing, cg.Galerkin(degree=5), intervals=10)
-        >>> print(f"{path.estimate_error():.0e}, {path.error_of(lambda path: path.momentum[0, -1]):.0e}")
-        5e-06, 5e-08
-        """
-        return self._known(of)[1]
-
-    def asked_for(self, of: Quantity) -> Trajectory:
-        """The path with a quantity `asked`, and its error."""
-        value, change, size = self._known(of)
-        asked = value if value.ndim else value.item()
-        return self.amended(asked=asked, asked_error=float(np.max(change)) / (size or 1.0))
-
-    def _known(self, of: Quantity) -> tuple[np.ndarray, np.ndarray, float]:
-        """A quantity, its error as `error_of` has it, and its size."""
-        check_quantity(of)
-        rounding = EPS if self.variations is None else min(self.variations.rounding(), 1.0)
-        value, change = largest_difference(of, self, self._comparisons.finer, rounding)
-        size = size_of(value)
-        return value, np.maximum(self.comparison_factor * change, self._comparisons.unseen * size), size
 
     @cached_property
     def _comparisons(self) -> Comparisons:
@@ -441,12 +453,6 @@ class Trajectory(Answer):
         figure.set_layout_engine("none")  # laid out only once, because it takes 0.2 s
         return ArtistAnimation(figure, drawn, interval=1000 * duration / frames)
 
-    def _asked(self) -> Lines:
-        """The quantity that was asked for, if any."""
-        if self.asked is not None:
-            value = np.array2string(np.array(self.asked), precision=12, threshold=6, edgeitems=2).replace("\n", "")
-            yield "asked", f"{value}, error {self.asked_error:.1e} of its size, estimated"
-
     def _doubts(self) -> Lines:
         """A large truncation error, or violation of the balance of energy, as near a singularity."""
         yield from self._unresolved()
@@ -489,4 +495,3 @@ class Trajectory(Answer):
         balance = f"{violation:.1e} of its terms" if violation > 0 else "rounding"
         yield "action", f"{self.action:.15g}, {self._kind()}"
         yield "energy", f"{self.energy[0]:.12g} at the start, its balance kept to {balance}"
-        yield from self._asked()

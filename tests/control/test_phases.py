@@ -140,6 +140,20 @@ def test_a_phase_has_neither_errors_nor_derivatives_of_its_own(make):
             ask(path.phases[1])
 
 
+def test_phases_are_asked_for_a_quantity():
+    speed = 10.8 / 6.56
+    path = cg.solve(bouncing(control_bounds=(-20.0, 20.0)), cg.Galerkin(3), tol=1e-6, of=arrival)
+    assert path.asked == pytest.approx(-speed, rel=1e-6)
+    assert path.asked_error <= 1e-6
+    assert "asked       -1.646341463" in repr(path)
+    assert path.error_of(lambda path: path.cost) <= 1e-6 * path.cost
+
+
+def arrival(path):
+    """The speed before the wall."""
+    return path.before(1.0, 1)[0]
+
+
 def test_phases_with_equal_statements_share_their_functions():
     base = moving(0.0, 1.0, 0.0, start_velocity=0.0)
     others = [moving(float(k), k + 1.0) for k in range(1, 4)]
@@ -214,11 +228,6 @@ def test_a_summary_has_every_phase():
             lambda: cg.Phases([two_bodies(), moving(1, 2)]),
             ValueError,
             r"phase 0 has 2 components, and phase 1 has 1: give a law \(x, v\) -> \(x, v\) as link 0",
-        ),
-        (
-            lambda: cg.solve(bouncing(), tol=1e-3, of=lambda path: path.cost),
-            ValueError,
-            "of is asked of the path of one problem, and not of Phases",
         ),
         (lambda: cg.transcribe(bouncing(), tol=1e-3), TypeError, "problem must be a BoundaryProblem, got Phases"),
     ],
