@@ -111,7 +111,7 @@ class Interval:
 
     def jacobian(self) -> ca.Function:
         """∂(x_1, p_1)/∂(x_0, p_0) of the step, (2d, 2d), by the implicit function theorem on R = 0."""
-        shape, d = self.system.size_in(0), self.system.size1_in(1)
+        shape, d, positions = self.system.size_in(0), self.system.size1_in(1), self.end.size1_out(2)
         count = shape[0] * shape[1]
         column, x, p, t, h = symbols = [
             ca.SX.sym(name, size) for name, size in zip("sxpth", (count, d, d, 1, 1), strict=True)
@@ -122,32 +122,23 @@ class Interval:
         partial = ca.Function("partial", symbols, [ca.densify(part) for part in parts])
         at = self.system.mx_in()
         by_s, by_start, direct, along = partial(ca.vec(at[0]), *at[1:])
-        return ca.Function("step_jacobian", at, [direct - ca.mtimes(along, _solved(by_s, by_start, shape, d))])
+        return ca.Function("step_jacobian", at, [direct - ca.mtimes(along, _solved(by_s, by_start, shape, positions))])
 
     def with_free_duration(self) -> Interval:
-        """The same equations with the stretch λ as last component of x (see the module); its slopes are zero."""
-        (rows, columns), d = self.system.size_in(0), self.system.size1_in(1)
-        s, x, p = ca.SX.sym("s", rows + 1, columns), ca.SX.sym("x", d + 1), ca.SX.sym("p", d + 1)
-        t, h, stretch = ca.SX.sym("t"), ca.SX.sym("h"), x[d]
-        numbers = np.arange(s.numel()).reshape(columns, rows + 1)
-        others = np.delete(numbers, d, axis=1).ravel().tolist()
-        inputs = [ca.reshape(s[others], rows, columns), x[:d], p[:d], t, stretch * h]
-        (path, by_path), (ratio, action, summed), (end, momentum, velocity) = (
+        """The same equations with the stretch λ as last component of x, which has no slopes; see the module."""
+        s, t, h, d = self.system.sx_in(0), ca.SX.sym("t"), ca.SX.sym("h"), self.system.size1_in(1)
+        x, p = ca.SX.sym("x", d + 1), ca.SX.sym("p", d + 1)
+        inputs, stretch = [s, x[:d], p[:d], t, x[d] * h], x[d]
+        system, (ratio, action, summed), (end, momentum, velocity) = (
             part(*inputs) for part in (self.system, self.check, self.end)
         )
-        denoised = ca.SX(s)
-        denoised[others] = ca.vec(self.denoised(*inputs))
-        residual, by_s = ca.vec(s), ca.SX.eye(s.numel())  # rows in the order of the columns, for QR
-        residual[others], by_s[others, others] = path, by_path
         gained = ca.gradient(action, stretch)
-        momentum, summed = ca.vertcat(momentum, p[d] + gained), ca.vertcat(summed, ca.fabs(p[d]) + ca.fabs(gained))
-        velocity = ca.vertcat(velocity * stretch, ca.SX(1, 1))
         return _interval_of(
             [s, x, p, t, h],
-            system=(residual, by_s),
-            check=(ratio, action, summed),
-            end=(ca.vertcat(end, stretch), momentum, velocity),
-            denoised=(denoised,),
+            system=system,
+            check=(ratio, action, ca.vertcat(summed, ca.fabs(p[d]) + ca.fabs(gained))),
+            end=(ca.vertcat(end, stretch), ca.vertcat(momentum, p[d] + gained), velocity * stretch),
+            denoised=(self.denoised(*inputs),),
         )
 
 
@@ -300,15 +291,15 @@ def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     """Newton's method for R = 0, as a Function (s, x, p, t, h) -> s, number of iterations.
 
     Steps are measured relative to the sizes of the components; under a constraint, to the sizes of their slopes, to
-    which the tangent velocity has to be accurate. Where steps converge quadratically, |ds| = c |ds_before|², the next
-    one will be |ds| (|ds| / |ds_before|)². The iteration ends when this estimate is below `SMALLEST_STEP`. The first so
-    many components of x are `positions`; a stretch is none. Each doubling runs the iterations of the one before, and
-    runs them again if they did not end, so that only few conditionals are evaluated.
+    which the tangent velocity has to be accurate.  Where steps converge quadratically, |ds| = c |ds_before|², the next
+    one will be |ds| (|ds| / |ds_before|)².  The iteration ends when this estimate is below `SMALLEST_STEP`.  The first
+    so many components of x are `positions`; a stretch is none.  Each doubling runs the iterations of the one before,
+    and runs them again if they did not end, so that only few conditionals are evaluated.
     """
     inputs = system.mx_in()
-    (rows, m), d = inputs[0].shape, inputs[1].numel()
+    (rows, m), d = inputs[0].shape, positions
     s, ds, x, before = ca.SX.sym("s", rows, m), ca.SX.sym("ds", rows, m), ca.SX.sym("x", d), ca.SX.sym("before")
-    largest = ca.mmax(ca.fabs(ca.horzcat(x, s[:d, :])[:positions, :]))
+    largest = ca.mmax(ca.fabs(ca.horzcat(x, s[:d, :])))
     least = ca.fabs(x) if rows == d else ca.repmat(LARGEST_LAST_STEP * largest, d, 1)
     size = [least[i] + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
     relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # without the impulses
@@ -317,7 +308,7 @@ def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     residual, by_s = system(*inputs)
     last, step = ca.MX.sym("last"), ca.reshape(-_solved(by_s, residual, (rows, m), d), rows, m)
     state = [inputs[0], last, *inputs[1:]]
-    newton = ca.Function("newton", state, update.call([inputs[0], step, inputs[1], last]))
+    newton = ca.Function("newton", state, update.call([inputs[0], step, inputs[1][:d], last]))
     done = ca.Function("done", state, [*state[:2], 0, 0])
     for _ in range(ITERATION_DOUBLINGS):
         *values, more, count = newton.call(state)

@@ -176,7 +176,7 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
         stretch = (guess.t[-1] - guess.t[0]) / duration
     if problem.energy is None:
         return np.concatenate((x, p)), v
-    return np.concatenate((x, [stretch], p, [0.0])), np.append(stretch * v, 0.0)
+    return np.concatenate((x, [stretch], p, [0.0])), stretch * v
 
 
 def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
@@ -202,7 +202,9 @@ def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.nda
         moved = start + damping * step
         is_zero = np.abs(moved) <= ZERO_START * np.abs(start)  # to rounding: relative to itself it would never converge
         moved[is_zero] = 0.0
-        at_rest = is_zero[len(velocity) : 2 * len(velocity)]  # the momenta, for a prediction that is zero, too
+        at_rest = is_zero[shooting.stepper.dimension :][
+            : len(velocity)
+        ]  # the momenta, for a prediction that is zero, too
         with suppress(ConvergenceError):  # a step of the trial path has failed
             trial = shooting.shoot(moved, np.where(at_rest, 0.0, velocity))
             shorter = np.max(np.abs(_direction(shot, trial.miss)) / scale)

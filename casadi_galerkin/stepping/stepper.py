@@ -53,7 +53,7 @@ class Roll:
     @property
     def slopes(self) -> np.ndarray:
         """Slopes of every interval at the Gauss points, (d, N, m)."""
-        d = len(self.x)
+        d = self.stepper.positions
         columns = self.unknowns.shape[2] - (self.unknowns.shape[1] > d)  # with constraints there is one more
         return self.unknowns[:, :d, :columns].transpose(1, 0, 2)
 
@@ -78,7 +78,7 @@ class Roll:
         d = len(self.x) - 1
         mesh = self.mesh[0] + self.x[d, 0] * (self.mesh - self.mesh[0])
         parts = {name: getattr(self, name)[:d] for name in ("x", "p", "p_terms")}
-        return replace(self, mesh=mesh, unknowns=np.delete(self.unknowns, d, axis=1), **parts)
+        return replace(self, mesh=mesh, **parts)
 
     @property
     def solved_steps(self) -> int:
@@ -99,12 +99,13 @@ class Stepper:
         lagrangian, force, constraint = numeric.lagrangian, numeric.force, numeric.constraint
         self.method, self.free_duration = method, free_duration
         check_points(constraint, method)
-        self.dimension, self.basis = lagrangian.size1_in(1) + free_duration, SlopeBasis(method.degree)
+        self.positions, self.basis = lagrangian.size1_in(1), SlopeBasis(method.degree)
+        self.dimension = self.positions + free_duration
         self.interval = interval(lagrangian, force, constraint, method)
         if free_duration:
             self.interval = self.interval.with_free_duration()
         self._shape = self.interval.system.size_in(0)
-        self._newton = newton_iteration(self.interval.system, lagrangian.size1_in(1))
+        self._newton = newton_iteration(self.interval.system, self.positions)
         self._step = self._predicted(self._newton)
         self._evaluators: dict[tuple[str, int], Evaluator] = {}
         self.build_seconds = time.perf_counter() - began
@@ -115,9 +116,9 @@ class Stepper:
         With its derivative, too, large steps found other solutions.
         """
         d = self.dimension
-        x, p, velocity, t, h = (ca.MX.sym("at", size) for size in (d, d, d, 1, 1))
+        x, p, velocity, t, h = (ca.MX.sym("at", size) for size in (d, d, self.positions, 1, 1))
         guess = ca.repmat(h * velocity, 1, self._shape[1])  # with constraints the velocity of the end is one
-        impulses = ca.MX(self._shape[0] - d, self._shape[1])
+        impulses = ca.MX(self._shape[0] - self.positions, self._shape[1])
         s, iterations = newton(ca.densify(ca.vertcat(guess, impulses)), x, p, t, h)
         s = self.interval.denoised(s, x, p, t, h)
         ends = self.interval.end(s, x, p, t, h)
@@ -142,7 +143,7 @@ class Stepper:
         return self._evaluators[name, count]
 
     def roll(self, x: np.ndarray, p: np.ndarray, velocity: np.ndarray, mesh: np.ndarray) -> Roll:
-        """Step from (x, p), (d,) each, through all joints of the mesh (N + 1,); `velocity` (d,) predicts the first.
+        """Step from (x, p), (d,) each, through all joints of the mesh (N + 1,); `velocity` predicts the first.
 
         Nothing is raised: where a step fails, `Roll.residual` is large or not finite.
         """
@@ -174,7 +175,7 @@ class Stepper:
         """Unknowns of every interval, as in `Roll`, from slopes (N, d, m) that are theirs or near: with impulses."""
         count, (rows, columns) = len(mesh) - 1, self._shape
         guess = np.zeros((count, rows, columns))
-        guess[:, : self.dimension, : slopes.shape[2]] = slopes
+        guess[:, : self.positions, : slopes.shape[2]] = slopes
         flat = guess.transpose(1, 0, 2).reshape(rows, -1)
         s = np.array(self._newton.map(count)(flat, x[:, :-1], p[:, :-1], mesh[None, :-1], np.diff(mesh)[None, :])[0])
         return s.reshape(rows, count, columns).transpose(1, 0, 2)

@@ -167,7 +167,7 @@ def test_a_periodic_path_of_given_energy_is_closed(problem, guess, period):
 def test_derivatives_by_the_stretch_are_those_of_the_whole_path():
     problem, mesh, difference = cg.InitialProblem(pendulum, (0, 2), [0.5], momentum=[1.0]), np.linspace(0, 2, 8), 1e-5
     stepper = Stepper(problem, cg.Galerkin(3), free_duration=True)
-    roll = lambda stretch: stepper.roll(np.array([0.5, stretch]), np.array([1.0, 0.0]), np.array([1.0, 0.0]), mesh)  # noqa: E731
+    roll = lambda stretch: stepper.roll(np.array([0.5, stretch]), np.array([1.0, 0.0]), np.ones(1), mesh)  # noqa: E731
     states = lambda stretch: np.concatenate((roll(stretch).x, roll(stretch).p))  # noqa: E731
     middle = roll(1.2)
     product = accumulated(stepper.jacobians(mesh, middle.x, middle.p, middle.unknowns))
