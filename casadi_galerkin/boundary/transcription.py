@@ -282,8 +282,7 @@ def transcribed(
 class GraphCache:
     """Graphs that are built at their first use and kept; also counts the iterations of all solves.
 
-    `mapping` is how L is evaluated at the points, as for `Functional`, unless `transcription` is called with another;
-    `verbose` applies to all solves.
+    `mapping` is how L is evaluated at the points, as for `Functional`; `verbose` applies to all solves.
     """
 
     def __init__(self, problem: BoundaryProblem, mapping: PointMap = one_by_one, verbose: int = 0) -> None:
@@ -296,11 +295,11 @@ class GraphCache:
         other.problem, other.iterations, other.verbose = problem, 0, verbose
         return other
 
-    def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: PointMap | None = None) -> Transcription:
+    def transcription(self, method: Galerkin, mesh: np.ndarray) -> Transcription:
         """The graph for this degree and number of intervals."""
         key = (method, len(mesh))
         if key not in self._transcriptions:
-            self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping or self._mapping)
+            self._transcriptions[key] = Transcription(self.problem, method, mesh, self._mapping)
         return self._transcriptions[key].for_problem(self.problem)
 
     def solve(
