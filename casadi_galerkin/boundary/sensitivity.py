@@ -22,7 +22,7 @@ from casadi_galerkin.problems.constrained_motion import relative_residuals
 from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.derivatives import Sensitivity, solved, verified_function
+from casadi_galerkin.solvers.derivatives import Sensitivity, verified_function
 from casadi_galerkin.solvers.linear_solver import all_finite
 from casadi_galerkin.solvers.rootfinder import embeddable
 from casadi_galerkin.solvers.stationarity import ACCEPTED, Stationarity
@@ -91,13 +91,16 @@ def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     transcription = transcribed(problem, path.method, None, path.t)
     numbering, symbols = transcription.numbering, transcription.functional.symbols
     data = {name: symbols[name] for name in ("start", "end", "parameters") if name in symbols}
-    matrix, gradient, _ = transcription.functional.function("derivatives").call(list(symbols.values()))
+    _, gradient, _ = transcription.functional.function("derivatives").call(list(symbols.values()))
     by_values = -ca.DM.eye(numbering.free)[:, numbering.everywhere][:, : numbering.integrals]
     by_data = ca.densify(ca.horzcat(ca.jacobian(gradient, ca.vertcat(*data.values())), by_values))
     unknowns, given = transcription.on_path(path.polynomial)
-    equations = ca.Function("equations", list(symbols.values()), [matrix, by_data])
-    matrix, rhs = equations.call([unknowns, *map(ca.DM, given)])
-    change, _ = solved(matrix, -rhs.full())
+    rhs = ca.Function("by_data", list(symbols.values()), [by_data]).call([unknowns, *map(ca.DM, given)])[0].full()
+    with transcription.stationarity.linearization() as at:
+        at.relinearize(unknowns, given)
+        columns = list(rhs.T.copy())
+        changes = at.refined(unknowns, given, columns, at.solve(*columns)) if rhs.size else columns
+    change = np.reshape(changes, rhs.T.shape).T
     by_u = np.concatenate((change, np.eye(numbering.size - numbering.free, change.shape[1])))
     x = by_u[numbering.of_nodes[:: path.method.degree]].transpose(1, 0, 2)  # (d, N + 1, data)
     counts = {name: symbol.numel() for name, symbol in data.items()} | {"integral_values": numbering.integrals}

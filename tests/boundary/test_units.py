@@ -81,8 +81,8 @@ def test_a_path_is_the_same_in_any_units(number):
 def test_derivatives_by_the_ends_are_the_same_in_any_units(number):
     expected, *others = (cg.sensitivity(solved(number, units)) for units in [ONE, *UNITS])
     for other in others:
-        np.testing.assert_allclose(other.x["start"], expected.x["start"], rtol=0, atol=DERIVATIVE)
-        np.testing.assert_allclose(other.x["end"], expected.x["end"], rtol=0, atol=DERIVATIVE)
+        for name, by in expected.x.items():
+            np.testing.assert_allclose(other.x[name], by, rtol=0, atol=DERIVATIVE)
 
 
 # a given energy is no duration, and a path at rest has no momentum that its end could be judged by
