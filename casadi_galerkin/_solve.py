@@ -521,7 +521,8 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     0.25
     """
     if isinstance(path, ControlTrajectory):
-        path._ask_whole("derivatives")
+        if path.number is not None:
+            raise ValueError("a phase has no derivatives of its own: ask the whole path")
         derivatives: Sensitivity = path.variations.sensitivity(path)
         return derivatives
     if not isinstance(path, Trajectory):

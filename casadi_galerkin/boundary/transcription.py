@@ -34,7 +34,7 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.orbit_phase import turned_back
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import COLORS, axes_or_new
-from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solution.trajectory import Comparisons, Trajectory, compared
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues, smallest_second_variation
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 from casadi_galerkin.solvers.stationarity import Stationarity
@@ -167,7 +167,7 @@ class Transcription(BoundaryGraph):
             method=self.method,
             problem=problem,
             variations=variations,
-            find_finer=variations.finer,
+            find_comparisons=variations.comparisons,
             integral_multipliers=point.integral_multipliers,
         )
 
@@ -229,9 +229,9 @@ class SecondVariation:
         """Relative difference to a path of a higher degree: see `error_between_ends`."""
         return error_between_ends(self._graph(), self._path)
 
-    def finer(self, path: Trajectory) -> tuple[Trajectory]:
-        """The path of a higher degree on the same mesh, by Newton's method from this one."""
-        return (self._graph().higher.nearby(path.polynomial),)
+    def comparisons(self, path: Trajectory) -> Comparisons:
+        """With the path of a higher degree on the same mesh, by Newton's method from this one."""
+        return compared(path, self._graph().higher.nearby(path.polynomial))
 
     def rounding(self) -> float:
         """Relative roundoff error of the path: see `roundoff_error`."""

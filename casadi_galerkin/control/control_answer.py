@@ -81,7 +81,7 @@ def answer(
                 hamiltonian=hamiltonians[k],
                 start_velocity=np.append(values["start_velocity"], rates[0]),
                 end_velocity=np.append(values["end_velocity"], rates[1]),
-                **solve,
+                **(solve if len(parts.phases) == 1 else solve | {"find_comparisons": None}),
             )
         )
     if len(found) == 1:
@@ -106,6 +106,7 @@ def answer(
         hamiltonian=report.hamiltonian,
         end_velocity=last.end_velocity,
         number=None,
+        find_comparisons=solve["find_comparisons"],
         **whole,
     )
 

@@ -10,18 +10,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at, times_within
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.phases import Phases
 from casadi_galerkin.solution.control_path import ControlPath, side_by_side
-from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Columns
 from casadi_galerkin.solution.path import of_parts
 from casadi_galerkin.solution.plotting import COLORS, panels, plot_path
 from casadi_galerkin.solution.quantity import Quantity
-from casadi_galerkin.solution.trajectory import Answer, Comparisons, Lines
+from casadi_galerkin.solution.trajectory import Answer, Lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,16 +46,10 @@ class OptimalPath(Answer):
     control: ControlPath
     costate: PiecewisePolynomial
     violation: float
-    find_comparisons: Callable[[Any], Any]
     path_multipliers: ControlPath | None = None
     cost_error: float | None = None
     parts: tuple[Any, ...] = ()
     number: int | None = None
-
-    def _ask_whole(self, what: str) -> None:
-        """Refuse what one of several phases does not know."""
-        if self.number is not None:
-            raise ValueError(f"a phase has no {what} of its own: ask the whole path")
 
     def estimate_error(self) -> float:
         """Estimate the relative error of x, and that of the cost; kept as `error_estimate` and `cost_error`.
@@ -81,15 +73,6 @@ class OptimalPath(Answer):
         self.estimate_error()
         assert self.cost_error is not None
         return value, np.array(self.cost_error * self.cost_size), self.cost_size
-
-    @cached_property
-    def _comparisons(self) -> Any:
-        """The path's comparison with others of higher degree: `finer`, `errors` of cost and of all, and `unseen`."""
-        self._ask_whole("errors")
-        try:
-            return self.find_comparisons(self)
-        except ConvergenceError:
-            return Comparisons()
 
     @property
     def phases(self) -> tuple[Any, ...]:

@@ -72,6 +72,7 @@ class Answer(Path):
     iterations, residual, solver, build_seconds, solve_seconds, method, problem : as of a `Trajectory`
     error_estimate, asked, asked_error : as well
     variations : what knows its second variation
+    find_comparisons : compares it with paths of higher degree; None for one of several phases
     """
 
     comparison_factor: ClassVar = 1.0  # estimated errors over differences to the paths of a higher degree
@@ -85,6 +86,7 @@ class Answer(Path):
     method: Galerkin
     problem: Problem | Phases
     variations: Any = None
+    find_comparisons: Callable[[Any], Any] | None = None
     error_estimate: float | None = None
     asked: np.ndarray | float | None = None
     asked_error: float | None = None
@@ -151,7 +153,12 @@ class Answer(Path):
     @cached_property
     def _comparisons(self) -> Any:
         """The path's comparison with others of higher degree: `finer`, `errors` of cost and of all, and `unseen`."""
-        raise NotImplementedError
+        if self.find_comparisons is None:
+            raise ValueError("a phase has no errors of its own: ask the whole path")
+        try:
+            return self.find_comparisons(self)
+        except ConvergenceError:
+            return Comparisons()
 
     @cached_property
     def morse_index(self) -> int | None:
@@ -253,7 +260,6 @@ class Trajectory(Answer):
     action: float
     problem: Problem
     missed: float = 0.0  # what shooting misses the end by, relative to the size of the path
-    find_finer: Callable[[Trajectory], tuple[Trajectory, ...]] | None = None  # paths of a higher degree
     integral_multipliers: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def estimate_error(self) -> float:
@@ -273,18 +279,6 @@ class Trajectory(Answer):
         error = max(difference, self._least_error)
         self.__dict__["error_estimate"] = error  # the class is frozen
         return error
-
-    @cached_property
-    def _comparisons(self) -> Comparisons:
-        """With the path of a higher degree: the relative difference of both, and what it may not show."""
-        assert self.find_finer is not None
-        try:
-            (finer,) = self.find_finer(self)
-        except ConvergenceError:
-            return Comparisons()
-        lasting, least = float(np.ptp(finer.t) / np.ptp(self.t)), self._least_error
-        difference = max(difference_of_paths(self.polynomial, finer.polynomial), abs(lasting - 1), self.missed)
-        return Comparisons((finer,), (0.0, difference), least if least > difference else 0.0)
 
     @property
     def _least_error(self) -> float:
@@ -495,3 +489,10 @@ class Trajectory(Answer):
         balance = f"{violation:.1e} of its terms" if violation > 0 else "rounding"
         yield "action", f"{self.action:.15g}, {self._kind()}"
         yield "energy", f"{self.energy[0]:.12g} at the start, its balance kept to {balance}"
+
+
+def compared(path: Trajectory, finer: Trajectory) -> Comparisons:
+    """A path with the one of a higher degree: the relative difference of both, and what it may not show."""
+    lasting, least = float(np.ptp(finer.t) / np.ptp(path.t)), path._least_error
+    difference = max(difference_of_paths(path.polynomial, finer.polynomial), abs(lasting - 1), path.missed)
+    return Comparisons((finer,), (0.0, difference), least if least > difference else 0.0)

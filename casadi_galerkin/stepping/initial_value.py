@@ -20,7 +20,7 @@ from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached, Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.quantity import Quantity
-from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solution.trajectory import Comparisons, Trajectory, compared
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.stepper import Roll, Stepper
 
@@ -35,16 +35,16 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     p, v = problem.start_state
     roll = Stepper(problem, method).roll(np.array(problem.start), p, v, mesh)
     check_steps(roll)
-    path = trajectory(problem, roll, int(roll.iterations.sum()), "step by step", began, finer)
+    path = trajectory(problem, roll, int(roll.iterations.sum()), "step by step", began, comparisons)
     if verbose:
         print(path)
     return path
 
 
-def finer(path: Trajectory) -> tuple[Trajectory]:
-    """The path of a higher degree on the same joints, from the same start."""
+def comparisons(path: Trajectory) -> Comparisons:
+    """With the path of a higher degree on the same joints, from the same start."""
     assert isinstance(path.problem, InitialProblem)
-    return (integrate(path.problem, higher_degree_method(path.method.degree), path.t),)
+    return compared(path, integrate(path.problem, higher_degree_method(path.method.degree), path.t))
 
 
 def started(path: Trajectory, force: ca.Function | None) -> InitialProblem:
@@ -125,7 +125,7 @@ def trajectory(
     iterations: int,
     solver: str,
     began: float,
-    find_finer: Callable[[Trajectory], tuple[Trajectory, ...]],
+    find_comparisons: Callable[[Trajectory], Comparisons],
 ) -> Trajectory:
     """Wrap verified steps as an answer; there is no Hessian of the whole action, so no Morse index."""
     build = roll.stepper.build_seconds
@@ -144,5 +144,5 @@ def trajectory(
         solve_seconds=time.perf_counter() - began - build,
         method=roll.stepper.method,
         problem=problem,
-        find_finer=find_finer,
+        find_comparisons=find_comparisons,
     )

@@ -29,7 +29,7 @@ from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, Limits, check_tolerance
 from casadi_galerkin.solution.orbit_phase import turned_back
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solution.trajectory import Comparisons, Trajectory, compared
 from casadi_galerkin.solvers.newton import SEARCH_ITERATIONS, SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.initial_value import to_tolerance, trajectory
@@ -120,7 +120,7 @@ def _shot(problem: BoundaryProblem, guess: Trajectory | None, method: Galerkin, 
     first = tangent_momenta(problem, *at, roll.p[:, :1], roll.velocity[:, None])
     roll = replace(roll, p=np.column_stack((first, roll.p[:, 1:])))
     solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss)):.1e}"
-    path = trajectory(problem, roll, iterations, solver, began, finer)
+    path = trajectory(problem, roll, iterations, solver, began, comparisons)
     wrong = _other_end(problem, path) or turned_back(problem, path.polynomial, shooting.plane)
     if wrong is not None:
         raise ConvergenceError(wrong, Path(path.polynomial), shot.residual, iterations)
@@ -154,10 +154,10 @@ def _other_end(problem: BoundaryProblem, path: Trajectory) -> str | None:
     )
 
 
-def finer(path: Trajectory) -> tuple[Trajectory]:
-    """The path of a higher degree on the same joints that meets the same ends."""
+def comparisons(path: Trajectory) -> Comparisons:
+    """With the path of a higher degree on the same joints that meets the same ends."""
     assert isinstance(path.problem, BoundaryProblem)
-    return (shoot(path.problem, higher_degree_method(path.method.degree), mesh=path.t, guess=path),)
+    return compared(path, shoot(path.problem, higher_degree_method(path.method.degree), mesh=path.t, guess=path))
 
 
 def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
