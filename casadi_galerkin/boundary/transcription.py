@@ -302,16 +302,9 @@ class GraphCache:
             self._transcriptions[key] = Transcription(self.problem, method, mesh, self._mapping)
         return self._transcriptions[key].for_problem(self.problem)
 
-    def solve(
-        self,
-        method: Galerkin,
-        mesh: np.ndarray,
-        guess: Guess | None,
-        solver: SolverLike,
-        problem: BoundaryProblem | None = None,
-    ) -> CriticalPoint:
-        """Solve one level, of the problem or of one that is `varied` from it."""
-        graph = self.transcription(method, mesh).for_problem(problem or self.problem)
+    def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> CriticalPoint:
+        """Solve one level."""
+        graph = self.transcription(method, mesh)
         try:
             point = graph.critical_point(guess=guess, mesh=mesh, solver=solver, verbose=self.verbose)
         except ConvergenceError as failure:
