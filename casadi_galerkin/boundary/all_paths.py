@@ -33,7 +33,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConvergenceError, Limits, check_tolerance
-from casadi_galerkin.solution.orbit_phase import refuse_free_phase
+from casadi_galerkin.solution.guess import refuse_free_phase
 from casadi_galerkin.solution.path import plot_component
 from casadi_galerkin.solution.plotting import Pictured
 from casadi_galerkin.solution.quantity import Quantity, check_asked

@@ -28,8 +28,7 @@ from casadi_galerkin.problems.legendre_transform import singular_mass
 from casadi_galerkin.problems.problem import check_types, with_values
 from casadi_galerkin.problems.statements import check
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
-from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.orbit_phase import refuse_free_phase
+from casadi_galerkin.solution.guess import Guess, refuse_free_phase
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import Advance, progress
 from casadi_galerkin.solution.trajectory import Trajectory

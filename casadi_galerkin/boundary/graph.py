@@ -23,8 +23,7 @@ from casadi_galerkin.functional.pointwise import PointMap
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
-from casadi_galerkin.solution.orbit_phase import phase_plane
+from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends, phase_plane
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.second_variation import SINGULAR, smallest_curvature

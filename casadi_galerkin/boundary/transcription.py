@@ -30,8 +30,7 @@ from casadi_galerkin.problems.legendre_transform import convex, legendre_transfo
 from casadi_galerkin.problems.tables import off_tables
 from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.orbit_phase import turned_back
+from casadi_galerkin.solution.guess import Guess, turned_back
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import COLORS, axes_or_new
 from casadi_galerkin.solution.trajectory import Comparisons, Trajectory, compared

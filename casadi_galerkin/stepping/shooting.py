@@ -27,7 +27,7 @@ from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, Limits, check_tolerance
-from casadi_galerkin.solution.orbit_phase import turned_back
+from casadi_galerkin.solution.guess import turned_back
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Comparisons, Trajectory, compared
 from casadi_galerkin.solvers.newton import SEARCH_ITERATIONS, SMALLEST_DAMPING

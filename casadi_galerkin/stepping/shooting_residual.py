@@ -40,8 +40,7 @@ from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import rows_that_depend
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import guess_values
-from casadi_galerkin.solution.orbit_phase import phase_plane
+from casadi_galerkin.solution.guess import guess_values, phase_plane
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.initial_value import check_steps
 from casadi_galerkin.stepping.stepper import Roll, Stepper
