@@ -139,8 +139,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
             return Estimate(largest, False, "Legendre coefficients", self.parts(truncation))
         self.check_time()
         graph, floor = self.graph(path), self.floor(level)
-        error = math.hypot(discretization_error(graph, path), floor)
-        self.check_time()
         self.roundoff_level = FLOOR_FACTOR * max(floor, EPS * np.max(np.abs(path.mesh)) / np.ptp(path.mesh))
         shown = zip(FRACTIONS, error_indicators(level.motion, path, level.momentum), strict=True)
         scaled = {name: indicator / FRACTIONS[name] for name, indicator in shown}
@@ -148,7 +146,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, Parts]):
         if np.max(indicator) > self.tol:
             parts = partial(parts_wanted, indicator, 1)  # at a kink it falls in proportion to the step
             return Estimate(float(np.max(indicator)), False, source, parts)
-        error = max(error, float(np.max(indicator)))
+        self.check_time()
+        error = max(math.hypot(discretization_error(graph, path), floor), float(np.max(indicator)))
         if error <= self.first_tol:
             agreed = agreement(graph, path)
             if agreed < REQUIRED_AGREEMENT:
