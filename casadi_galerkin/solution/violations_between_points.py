@@ -6,6 +6,7 @@ flies the path uses all of it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -77,13 +78,21 @@ class BetweenPoints:
         size = np.abs(at_joints).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
         return (defect / or_one(size)[:, None]).max(axis=0)
 
+    def _missed(self, rates: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """What integrals of rates (..., N, K) along the controls in time exceed the quadrature by; (..., N).
+
+        And the integrals of the sizes of the rates over the whole, (...).
+        """
+        rule, steps = self.path.method.quadrature, np.diff(self.path.t)
+        (finer, its), found = finer_rule(len(rule)), rates(np.array(rule.points))
+        missed = (rates(finer) @ its - found @ np.array(rule.weights)) * steps
+        return missed, np.abs(found) @ np.array(rule.weights) @ steps
+
     @cached_property
     def missed_impulses(self) -> np.ndarray:
         """What the impulses of the controls as functions of time exceed those at the points by, relative; (d, N)."""
-        steps, (points, weights), (finer, its) = np.diff(self.path.t), self._rule, finer_rule(len(self._rule[0]))
-        rates = self.motion(points)[1]
-        sizes = np.abs(self.momenta).max(axis=1) + np.abs(rates) @ weights @ steps
-        return (self.motion(finer)[1] @ its - rates @ weights) * steps / or_one(sizes)[:, None]
+        missed, sizes = self._missed(lambda parts: self.motion(parts)[1])
+        return missed / or_one(np.abs(self.momenta).max(axis=1) + sizes)[:, None]
 
     @property
     def control_misfit(self) -> np.ndarray:
@@ -93,22 +102,12 @@ class BetweenPoints:
     @cached_property
     def missed_costs(self) -> np.ndarray:
         """What the controls as functions of time change the cost by, to first order, on every interval; (N,)."""
-        values = [
-            at_places(self.integrand, *self.along(points))[0].reshape(-1, len(points)) @ weights
-            for points, weights in (self._rule, finer_rule(len(self._rule[0])))
-        ]
-        return (values[1] - values[0]) * np.diff(self.path.t)
+        return self._missed(lambda parts: at_places(self.integrand, *self.along(parts))[0].reshape(-1, len(parts)))[0]
 
     @property
     def flight_error(self) -> float:
         """Largest error of a momentum or value at a joint in a flight with `control(t)`, without its growth."""
         return float(np.max(np.abs(np.cumsum(self.missed_impulses, axis=1))))
-
-    @property
-    def _rule(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points and weights of the quadrature."""
-        rule = self.path.method.quadrature
-        return np.array(rule.points), np.array(rule.weights)
 
     @property
     def constraint_excess(self) -> np.ndarray:
