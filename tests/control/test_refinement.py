@@ -561,17 +561,18 @@ def test_refinement_begins_on_the_mesh_of_a_refined_answer(capsys):
 @pytest.mark.slow
 def test_where_a_coarse_path_leads_nowhere_the_first_guess_is_tried(monkeypatch):
     """As for a path above the peaks of the alp rider, which meshes of 8 intervals miss."""
-    solve, refused = ControlRefinement.solve, []
+    solve, refused, solved = ControlRefinement.solve, [], []
 
     def from_guesses_only(self, method, mesh, guess):
-        if len(mesh) > 9 and method == self.method and isinstance(guess, cg.ControlTrajectory) and len(refused) < 2:
+        if len(mesh) > 9 and method == self.method and isinstance(guess, cg.ControlTrajectory) and not refused:
             refused.append(len(mesh) - 1)
             raise cg.ConvergenceError("no path", None)
+        solved.append((len(mesh) - 1, guess))
         return solve(self, method, mesh, guess)
 
     monkeypatch.setattr(ControlRefinement, "solve", from_guesses_only)
     path = cg.solve(cart_pole(), cg.Galerkin(3), tol=1e-4)
-    assert refused[1] == 2 * refused[0]
+    assert (2 * refused[0], None) in solved
     assert path.cost == pytest.approx(58.8077, rel=1e-4)
 
 

@@ -38,8 +38,8 @@ def test_a_jump_that_is_not_named_is_met_to_the_tolerance(name, tol):
 
 
 @pytest.mark.slow
-def test_a_jump_that_no_mesh_meets_is_named():
-    with pytest.raises(cg.LimitReached, match=r"near t = 0\.74\d*\. .*: name that time in the break"):
+def test_a_jump_that_no_mesh_meets_is_a_limit():
+    with pytest.raises(cg.LimitReached, match="tolerance 1e-09 was not reached"):
         cg.solve(double_integrator(**JUMPING["cost"]), tol=1e-9, limits=cg.Limits(intervals=400))
 
 
