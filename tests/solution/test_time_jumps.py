@@ -40,7 +40,7 @@ def test_a_jump_that_is_not_named_is_met_to_the_tolerance(name, tol):
 @pytest.mark.slow
 def test_a_jump_that_no_mesh_meets_is_a_limit():
     with pytest.raises(cg.LimitReached, match="tolerance 1e-09 was not reached"):
-        cg.solve(double_integrator(**JUMPING["cost"]), tol=1e-9, limits=cg.Limits(intervals=400))
+        cg.solve(double_integrator(**JUMPING["cost"]), tol=1e-9, limits=cg.Limits(intervals=70))
 
 
 SMOOTH = {
