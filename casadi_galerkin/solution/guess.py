@@ -50,7 +50,9 @@ def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.
     changed.  `parts` (K,) are the times as fractions of the duration, from 0 to 1.
     """
     moves = ends - values[:: len(values) - 1]
-    first, last = np.nan_to_num(np.where(np.isnan(moves), moves[::-1], moves))
+    moves = np.where(np.isnan(moves), moves[::-1], moves)
+    moves[np.isnan(moves)] = 0.0
+    first, last = moves
     return values + first + parts[:, None] * (last - first)
 
 
