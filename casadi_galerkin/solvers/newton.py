@@ -191,7 +191,7 @@ def _final_iterate(linear: Linearization, at: Iterate, last: float, data: Data) 
     if not stays or last > QUADRATIC:
         return None
     direction, quotient = smallest_curvature(linear, at.unknowns, data)
-    if quotient > max(SINGULAR, EPS / at.norm):
+    if quotient * at.norm > ACCEPTED * EPS:  # 7 at most of rounding, 1e8 at kinks
         return None
     with np.errstate(over="ignore", invalid="ignore"):  # of a singular Hessian it may be of any size
         direction, step = direction / at.sizes, at.step / at.sizes
