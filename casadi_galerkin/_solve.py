@@ -375,9 +375,9 @@ def transcribe(
 
     Parameters
     ----------
-    problem : BoundaryProblem or ControlProblem
+    problem : BoundaryProblem, ControlProblem or, without `tol`, Phases
     method : Galerkin
-    intervals : number of equal intervals; or
+    intervals : number of equal intervals, or a list as for `solve`; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     tol : relative tolerance, as for `solve`, which also says what method, intervals and mesh then are
     of : the quantity that `tol` is the tolerance of, as for `solve`; default x

@@ -2,7 +2,7 @@
 
 The duration is free and the control jumps.  With an even number of equal intervals the jump falls on a joint and
 the answer is exact.  With an odd number it falls inside an interval: the duration found is too short, because the
-control leaves its bounds between the quadrature points, and the summary says where.  A tolerance moves a joint there.
+control leaves its bounds between the quadrature points, and the summary says where.  A tolerance puts joints beside it.
 
 Three variations.  With a buffer at the end that takes what speed v is left, for a price times the energy v²/2, full
 thrust lasts for a = √(1 + v²/2) and the brake for a - v: with the price √(7/8), a = √(8/7) and v = a/2.  With a gear

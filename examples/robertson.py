@@ -2,9 +2,9 @@
 
 The unknown function without a rate is a control, and its equation a path constraint with equal bounds: a system of
 differential and algebraic equations (DAE).  Nothing is left to choose, so there is no cost.  Radau's rule suits it: its
-last point is the end of an interval.  The second substance rises
-within a thousandth of a second to a few millionths of the first, and all goes on for much longer: joints are closer at
-the start.  The numbers at 40 s are those with which solvers of stiff equations are tested (H. H. Robertson, 1966).
+last point is the end of an interval.  The second substance rises within a thousandth of a second to a few millionths of
+the first, and all goes on for much longer: joints are closer at the start.  The numbers at 40 s are those with which
+solvers of stiff equations are tested (H. H. Robertson, 1966).
 """
 
 import numpy as np

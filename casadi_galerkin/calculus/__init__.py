@@ -1,6 +1,8 @@
 """The discrete calculus on piecewise polynomials, with NumPy alone (paper, sections 2 and 3).
 
-Here are the quadrature (Q, w), the nodes and their Lagrange polynomials, the embedding emb_m (paper, eq. interdef), the
-discrete derivative Δ_m, the anti-derivative ∫ Δ_w, the choice of a mesh for a path, and what roundoff does. Numbers
-that a user gives are checked here, too.  This folder imports no other.
+`quadrature` has the rules (Q, w), and `nodes` the control points and their Lagrange polynomials; with a degree they are
+a method, `galerkin`.  `discrete_calculus` has the embedding emb_m (paper, eq. interdef), the derivative Δ_m and the
+anti-derivative ∫ Δ_w; `piecewise_polynomial` is what it embeds, and `mesh_adaptation` chooses a mesh for it.
+`roundoff` has what roundoff does, `numbers` reads those that a user gives, and `cached_property` keeps what is computed
+once.  This folder imports no other.
 """

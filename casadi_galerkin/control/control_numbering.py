@@ -1,4 +1,4 @@
-"""The numbering of the unknowns and of the equations of an optimization, phase by phase and stage by stage; bounds.
+"""The unknowns and equations of an optimization as numbered vectors, with their bounds: phase by phase, by stages.
 
 All unknowns and all data of an optimization are one vector ξ = (unknowns, data), phase by phase.  The unknowns of a
 phase form a chain of N + 1 stages.  At every joint there is a state: x, p and the free constants, which are the time of

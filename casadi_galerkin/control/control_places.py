@@ -1,4 +1,4 @@
-"""The places of an optimization: what is embedded there, what is evaluated pointwise, and how it is integrated.
+"""Where an optimization evaluates its functions (points, nodes, ends), of what unknowns, and how values are summed.
 
 A kind of place is, in one phase, the quadrature points, either end, both ends together, the nodes of a constraint, or
 the changes of bounded controls; or it is the ends of all phases.  The inputs z = A ξ of the pointwise functions are

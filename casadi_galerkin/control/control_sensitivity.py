@@ -43,7 +43,7 @@ GIVEN = "start", "end", "start_velocity", "end_velocity", "parameters"
 SIDES = "position_bounds", "control_bounds", "duration_bounds", "parameter_bounds"
 LIMITS = "path_constraint", "end_conditions"  # (g, lower, upper bounds)
 Units: TypeAlias = tuple[np.ndarray, np.ndarray]
-ROUNDED = EPS**0.5  # relative error by rounding from which derivatives are refused: half of the digits
+MOST_ROUNDING = EPS**0.5  # relative error by rounding from which derivatives are refused: half of the digits
 
 
 def acting(values: ca.MX, multipliers: ca.MX, bounds: tuple[ca.MX, ca.MX], units: np.ndarray) -> tuple[ca.MX, ...]:
@@ -199,7 +199,7 @@ def sensitivity_of(problem: ControlProblem, graph: ControlGraph, at: Optimum, pa
             "derivatives on its two sides differ. Move that bound, or the data, a little"
         )
     (solution, rounding), shapes = solved(matrix, -missed.full()), data.shapes
-    if not np.all(np.max(np.abs(rounding), axis=0) <= ROUNDED * (np.max(np.abs(solution), axis=0) + TINY)):
+    if not np.all(np.max(np.abs(rounding), axis=0) <= MOST_ROUNDING * (np.max(np.abs(solution), axis=0) + TINY)):
         raise ValueError(
             "sensitivity takes optima that cost and bounds determine to second order, got one whose derivatives are "
             "rounding alone: a control may cost nothing, or a bound state what others state"

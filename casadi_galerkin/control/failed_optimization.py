@@ -29,17 +29,17 @@ from casadi_galerkin.solution.path import Path
 INVALID = "Invalid Number Detected"
 OUT_OF_ITERATIONS = "Maximum Iterations Exceeded"
 UNITS = "The solver's tolerances are absolute: take units in which cost, lengths, times and masses are near one"
-NO_PATH = (
+NONE_WITHIN_BOUNDS = (
     "There may be no path within these ends and bounds; else try a guess nearer to it, several `starts`, or units in "
     "which lengths, times and masses are near one"
 )
 HINTS = {
     "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
-    "Infeasible Problem Detected": NO_PATH,
+    "Infeasible Problem Detected": NONE_WITHIN_BOUNDS,
     INVALID: "A callable or one of its derivatives is not finite there",
     "Maximum WallTime Exceeded": "Allow more seconds, or give a guess nearer to the path",
     "Solve Succeeded": f"{UNITS}, and bound a free duration",
-    "Restoration Failed": NO_PATH,
+    "Restoration Failed": NONE_WITHIN_BOUNDS,
 }
 OTHER_HINT = "Try a guess of path and controls, such as the answer on fewer intervals, or more intervals"
 UNDEFINED_SOMEWHERE = frozenset(
@@ -77,7 +77,7 @@ def explained(
     hint = HINTS.get(optimum.status, OTHER_HINT)
     if relative[worst] <= FEASIBLE:
         state = f"all constraints hold, with a cost of {cost:.6g}"
-        hint = OTHER_HINT if hint is NO_PATH else hint
+        hint = OTHER_HINT if hint is NONE_WITHIN_BOUNDS else hint
     else:
         state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
     if hint is OTHER_HINT:

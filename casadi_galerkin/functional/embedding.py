@@ -1,8 +1,9 @@
-"""E, Eᵀ and Eᵀ blockdiag(·) E as CasADi expressions of the `Numbering` alone: embed, integrate, assemble.
+"""From node values to x and dx/dt at all quadrature points (E), and back to gradients (Eᵀ) and Hessians (Eᵀ · E).
 
-They use E as the product of two factors: the selection of each interval's node values, and the dense matrices of the
-reference `Element`.  Because the step is an input of the pulled-back Lagrangian, they do not depend on the mesh, and
-Functions of the longer ones are cached for other Lagrangians.
+These are CasADi expressions of the `Numbering` alone.  They use E as the product of two factors: the selection of each
+interval's node values, and the dense matrices of the reference `Element`.  Because the step is an input of the
+pulled-back Lagrangian, they do not depend on the mesh, and Functions of the longer ones are cached for other
+Lagrangians.
 
 Slopes are computed from differences to the first value of the interval, and the gradient by that value from the sum of
 the others (the l_j sum to one, the l_j' to zero).  Roundoff then stays near 1e-14 at 1e5 intervals instead of growing

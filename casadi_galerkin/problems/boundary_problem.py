@@ -168,7 +168,8 @@ class BoundaryProblem(Problem):
     constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
     start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They
         replace the natural condition of a component whose position is None.  Under a constraint only the tangent part
-        of a momentum counts, and velocities cannot be given
+        of a momentum counts, and velocities cannot be given; nor can,
+        elsewhere, a velocity whose momentum depends on one that is not given
     end_action : callable (x_0, x_N) -> scalar φ, added to the action, so that p_0 = ∂φ/∂x_0 and p_N = -∂φ/∂x_N where
         the position is free: springs, costs of the end
     end_conditions : callable (x_0, x_N) -> values that are zero: an end on a curve, an end that is the start rotated.

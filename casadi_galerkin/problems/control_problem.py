@@ -266,7 +266,7 @@ class ControlProblem(Problem):
         in time.  Where one jumps, take gauss: a function of time has one value there, and a rule with points at the
         ends of intervals (lobatto, radau) sees one side of the jump.  With `duration_bounds` they part phases, each
         with a free duration of its own, as between the switching times of a bang-bang control.  A tolerance finds
-        these times itself: where nothing else happens at such a breakpoint, it comes to the nearest switch
+        these times itself: it leaves out such a breakpoint where nothing else happens
     waypoints : (t, positions) each: a breakpoint at t, where the path has these d positions; each is a number, a pair
         (lo, hi) that it lies within, or None.  Or (t, (g, lo, hi)) with g(x, v) -> scalar or vector within bounds there
     jumps : (t, law) each: a breakpoint at t, where law(x, v) -> (x, v) says how the path goes on, as where a stage is

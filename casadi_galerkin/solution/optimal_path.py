@@ -1,4 +1,4 @@
-"""What the answers of all optimizations have in common, and the answer of several phases."""
+"""The answers of optimizations: what all have in common, their errors and pictures, and that of several phases."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Quantities of a path, whose errors are differences to the paths that it is compared with.
+"""What is asked of a path, such as a launch velocity, and its error: the difference to paths of higher degree.
 
 A quantity is a callable: a path -> a number, or an array whose shape does not depend on the mesh.
 """

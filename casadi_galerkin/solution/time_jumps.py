@@ -1,4 +1,4 @@
-"""The integrand of the cost with its multipliers, and its jumps along a path.
+"""Steps of forces, rates and costs along an optimal path, in time or as x and v move: jumps of one integrand.
 
 With the path, the controls and the multipliers found, the cost is ∫ I dt to first order, where
 

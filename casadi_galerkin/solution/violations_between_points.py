@@ -1,4 +1,4 @@
-"""An optimized path as a function of time: what the equations, bounds and callables miss between the points.
+"""How far an optimized path misses its equations and exceeds its bounds between the points that the solver sees.
 
 The solver imposes the equations of motion, the rates and the bounds at the quadrature points and nodes alone.  Whoever
 flies the path uses all of it.

@@ -50,7 +50,7 @@ class Solution:
     Attributes
     ----------
     unknowns : ξ
-    data : what they were found for, where ends that are rounding alone are zero
+    data : what they were found for, where ends that are zero to rounding error are zero
     iterations : Newton (and IPOPT) iterations together
     residual : largest residual over its own roundoff floor
     report : what was used to find it

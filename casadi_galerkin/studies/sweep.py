@@ -243,8 +243,8 @@ def sweep(
     ----------
     problem : BoundaryProblem or ControlProblem
     variations : dicts of what differs from the problem: `start`, `end`, `parameters`, `t_span`; the velocities and
-        momenta at the ends, and the energy, where the problem states them; and `guess`, as for `solve`, which for an
-        executor has to be picklable (an array, a Trajectory, a module's function)
+        momenta at the ends, the energy and `integral_values`, where the problem states them; and `guess`, as for
+        `solve`, which for an executor has to be picklable (an array, a Trajectory, a module's function)
     method, intervals : as for `solve`
     tol : as for `solve`; each variation without a guess of its own starts from the path and the mesh of the nearest one
         that is solved, and so stays on its branch; see `Sweep.jumps`.  With a given energy, a variation with a

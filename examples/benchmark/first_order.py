@@ -3,9 +3,8 @@
 The problems are those of `solve_bvp`'s documentation and tests that have one path, three of J. R. Cash's test problems
 (31 to 33), and Mathieu's equation with its characteristic value unknown.  Both begin with the same guess.  `solve_bvp`
 runs at its loosest tolerance whose true error is small enough, found beforehand, which favours it; it has no Jacobian,
-as most users give
-none.  Errors are the largest of the path, between joints, too, over the largest value of a component, against a closed
-form where there is one, or an answer to 1e-12.
+as most users give none.  Errors are the largest of the path, between joints, too, over the largest value of a
+component, against a closed form where there is one, or an answer to 1e-12.
 """
 
 import argparse
