@@ -206,8 +206,9 @@ class Branch(Pictured):
         if self.missed:
             after = counted(self.missed[0], "path")
             lines.append(f"  the Morse index changes by more than that after {after}: something is missed")
-        if self.waiting:
-            lines.append(f"  {self.waiting} more not followed")
+        if self.others:
+            waiting = f", {self.waiting} more not followed" if self.waiting else ""
+            lines.append(f"  {len(self.branches)} branches in all{waiting}")
         return "\n".join(lines)
 
 

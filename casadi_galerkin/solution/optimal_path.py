@@ -247,15 +247,17 @@ class PhasesTrajectory(OptimalPath):
     def table(self, times: ArrayLike | None = None) -> Columns:
         """The tables of the phases one after the other, with the number of the phase; what a phase has not is NaN.
 
-        At the time at which a phase begins, values are those of this phase.
-
         Parameters
         ----------
-        times : (K,); default `fine_times`
+        times : (K,), values at the time at which a phase begins are those of this phase; default `fine_times` of every
+            phase, so that both sides of what parts them are there
         """
-        given = np.atleast_1d(times_within(self.t, self.fine_times if times is None else times)).ravel()
-        which = np.searchsorted([path.t[0] for path in self.phases[1:]], given, side="right")
-        tables = [{"phase": np.array(k), **self.phases[k].table(given[which == k])} for k in np.unique(which)]
+        given = [path.fine_times for path in self.phases]
+        if times is not None:
+            asked = np.atleast_1d(times_within(self.t, times)).ravel()
+            which = np.searchsorted([path.t[0] for path in self.phases[1:]], asked, side="right")
+            given = [asked[which == k] for k in range(len(self.phases))]
+        tables = [{"phase": np.array(k), **self.phases[k].table(own)} for k, own in enumerate(given) if len(own)]
         columns = dict.fromkeys(name for each in tables for name in each)
         return {
             name: np.concatenate([np.broadcast_to(each.get(name, np.nan), each["t"].shape) for each in tables])

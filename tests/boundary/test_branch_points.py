@@ -67,7 +67,7 @@ def test_a_buckled_rod_is_the_elastica():
             assert path.morse_index == mode
             modulus = np.sin(path.x[0, 0] / 2) ** 2
             assert load == pytest.approx((2 * mode * ellipk(modulus)) ** 2, rel=1e-9)
-    assert str(diagram).endswith("\n  ... 2 more")
+    assert str(diagram).endswith("\n  ... 2 more\n  7 branches in all")
     assert "  branch point at [9.8696" in str(diagram)
 
 
@@ -76,7 +76,7 @@ def test_no_more_branches_are_followed_than_asked_for():
     diagram = cg.continuation(rod(), [100.0], intervals=12, branches=2)
     assert (len(diagram.branches), diagram.waiting) == (2, 5)
     assert diagram.others[0].origin is not None
-    assert "5 more not followed" in str(diagram)
+    assert "2 branches in all, 5 more not followed" in str(diagram)
 
 
 @pytest.mark.slow

@@ -104,6 +104,7 @@ def test_a_component_goes_with_the_body_that_is_dropped():
     assert begins.get_xdata()[0] == path.phases[1].t[0]
     table = path.to_dict()
     assert list(table)[:4] == ["phase", "t", "x[0]", "x[1]"]
+    assert table["t"].count(1.0) == 2  # the last of one phase, and the first of the next
     for k, phase in enumerate(path.phases):
         rows = np.array(table["phase"]) == k
         times, velocities = (np.array(table[name])[rows] for name in ("t", "velocity[0]"))
