@@ -95,19 +95,19 @@ def test_a_process_forked_beside_a_solving_thread_solves_too():
 @pytest.mark.parametrize("problem", [swinging(9.81), cart_pole()], ids=["boundary", "control"])
 def test_a_fork_waits_for_what_is_built(monkeypatch, problem):
     """What builds a Function may hold one of CasADi's locks, and a forked child would find it taken for ever."""
-    free, built = [], ca.Function
+    free, made = [], ca.Function.__init__
 
     def taken():
         free.append(fork_waits.acquire(blocking=False))
         if free[-1]:
             fork_waits.release()
 
-    def function(*arguments):
+    def make(self, *arguments):
         with ThreadPoolExecutor(1) as another:
             another.submit(taken).result()
-        return built(*arguments)
+        made(self, *arguments)
 
-    monkeypatch.setattr(ca, "Function", function)
+    monkeypatch.setattr(ca.Function, "__init__", make)
     cg.transcribe(problem, cg.Galerkin(3), 4).solve()
     assert free
     assert not any(free)
