@@ -66,8 +66,8 @@ def test_estimate_is_twice_a_sharp_one_where_a_component_hardly_counts_in_the_co
 
 
 @pytest.mark.slow
-def test_a_path_that_the_cost_leaves_open_is_refused_and_its_cost_is_known():
-    """The cost knows y = x_1 + x_2 alone, (∫ y'² + y² dt)/2, and leaves the difference open."""
+def test_a_path_that_the_cost_does_not_determine_is_refused_and_its_cost_is_known():
+    """The cost knows y = x_1 + x_2 alone, (∫ y'² + y² dt)/2, and not the difference."""
     task = two_rates(lambda t, x, v, u: ((u[0] + u[1]) ** 2 + (x[0] + x[1]) ** 2) / 2)
     with pytest.raises(
         cg.LimitReached,

@@ -235,7 +235,7 @@ def test_a_warm_start_survives_pickling():
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
 @pytest.mark.parametrize("size", [1e6, *slow(1e15)])
-def test_a_wild_guess_neither_scales_nor_measures_the_equations(size, solver):
+def test_a_guess_far_from_any_answer_neither_scales_nor_measures_the_equations(size, solver):
     """Measured along the guess, a path that missed its equations altogether passed, with a cost of 1e-48."""
     for guess in (lambda t: [t + size * np.sin(37 * t)], (lambda t: [t], lambda t: [size * np.cos(9 * t)])):
         path = cg.solve(double_integrator(), cg.Galerkin(3), 8, guess=guess, solver=solver)

@@ -158,7 +158,7 @@ def test_times_that_are_rounded_too_much_are_told():
 
 
 @pytest.mark.slow
-def test_a_path_left_open_on_a_coarse_mesh_may_be_known_on_a_finer_one():
+def test_a_path_that_a_coarse_mesh_does_not_determine_may_be_known_on_a_finer_one():
     """Least time with a speed limit at the points: on the first meshes controls alternate along it."""
     drive = double_integrator(
         t_span=(0.0, 4.0),

@@ -123,7 +123,7 @@ def test_a_component_that_is_small_but_told_from_zero_is_compared_with_itself():
 
 
 @pytest.mark.parametrize("method", [cg.Galerkin(3), cg.Galerkin(6)], ids=str)
-def test_a_path_that_the_cost_leaves_open_is_said_to_be_not_determined(method):
+def test_a_path_that_the_cost_does_not_determine_is_said_to_be_so(method):
     """The cost knows the sum of two components alone; where it knows both, nothing is said."""
 
     def summary(price):
@@ -215,7 +215,7 @@ def test_a_control_without_effect_in_a_phase_does_not_hide_the_cost():
 
 @pytest.mark.parametrize("tol", [1e-2, *slow(1e-6)])
 @pytest.mark.slow
-def test_no_cost_is_called_open_where_all_controls_are_at_their_bounds(tol):
+def test_no_cost_is_called_undetermined_where_all_controls_are_at_their_bounds(tol):
     """A tank that is emptied at full rate in the least time, 0.6 s: then nothing is left to be chosen."""
     burn = cg.ControlProblem(
         lambda t, x, v: x[1] * v[0] ** 2 / 2,

@@ -82,7 +82,7 @@ BADLY_STATED = {
 
 
 @pytest.mark.parametrize("name", BADLY_STATED)
-def test_badly_stated_crossing_is_refused(name):
+def test_a_jump_or_waypoint_that_is_stated_badly_is_refused(name):
     changes, kind, message = BADLY_STATED[name]
     with pytest.raises(kind, match=message):
         double_integrator(**changes)

@@ -195,7 +195,7 @@ def test_joints_are_compared_by_the_larger_of_their_scales():
     assert np.max(energy_imbalance(kept[:3], scale[:3], floor[:3])) == pytest.approx(4.9e-5)
 
 
-def test_joints_that_rounding_blurs_tell_nothing():
+def test_joints_whose_energies_are_rounded_tell_nothing():
     assert np.max(energy_imbalance(np.array([1.0, 7.0, 1.0]), np.ones(3), np.array([0.0, 7.0, 0.0]))) == 0.0
 
 
