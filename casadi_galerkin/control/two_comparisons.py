@@ -111,21 +111,22 @@ class TwoComparisons:
         of_cost = self.of_cost(self.path.unseen_change)
         of_path = max(of_cost, self.path.solver_error)
         return (
-            max(self.cost_error, self._unseen, self.step_in_place**2) + of_cost,
-            max(self.change, self.unseen) + of_path,
+            max(self.cost_error, self._common_error, self.step_in_place**2) + of_cost,
+            max(self.change, self.common_error) + of_path,
         )
 
     @property
-    def unseen(self) -> float:
+    def common_error(self) -> float:
         """Relative error that all three paths may have in common, with that of a step that no derivative shows.
 
         It is that of a flight with `control(t)` as well.
         """
         between = self.path.between_points
-        return max(self._unseen, self.step_in_place, between.flight_error, float(np.max(between.constraint_excess)))
+        excess = float(np.max(between.constraint_excess))
+        return max(self._common_error, self.step_in_place, between.flight_error, excess)
 
     @cached_property
-    def _unseen(self) -> float:
+    def _common_error(self) -> float:
         path, between = self.path, self.path.between_points
         rounding = 0.0 if path.problem.autonomous else EPS * np.max(np.abs(path.t)) / np.ptp(path.t)
         of_cost = self.of_cost(np.sum(between.jump_effects)), self.of_cost(abs(np.sum(between.missed_costs)))
@@ -206,7 +207,7 @@ class PhasesComparisons:
 
     path: PhasesTrajectory
     finer: tuple[PhasesTrajectory, ...]
-    change, step_in_place, unseen = map(_largest, ("change", "step_in_place", "unseen"))
+    change, step_in_place, common_error = map(_largest, ("change", "step_in_place", "common_error"))
 
     @cached_property
     def _each(self) -> list[TwoComparisons]:

@@ -55,12 +55,12 @@ class Comparisons:
     ----------
     finer : the others, where they are paths of one problem
     errors : relative errors of the cost, and of all
-    unseen : relative error that all of these have in common
+    common_error : relative error that all of these have in common
     """
 
     finer: tuple[Any, ...] = ()
     errors: tuple[float, float] = (math.inf, math.inf)
-    unseen: float = math.inf
+    common_error: float = math.inf
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -148,11 +148,11 @@ class Answer(Path):
         rounding = EPS if self.variations is None else min(self.variations.rounding(), 1.0)
         value, change = largest_difference(of, self, self._comparisons.finer, rounding)
         size = size_of(value)
-        return value, np.maximum(self.comparison_factor * change, self._comparisons.unseen * size), size
+        return value, np.maximum(self.comparison_factor * change, self._comparisons.common_error * size), size
 
     @cached_property
     def _comparisons(self) -> Any:
-        """The path's comparison with others of higher degree: `finer`, `errors` of cost and of all, and `unseen`."""
+        """Comparison with paths of higher degree: `finer`, `errors` of cost and of all, and `common_error`."""
         if self.find_comparisons is None:
             raise ValueError("a phase has no errors of its own: ask the whole path")
         try:
