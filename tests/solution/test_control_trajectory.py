@@ -239,6 +239,14 @@ def test_a_hamiltonian_that_should_be_constant_shows_what_no_derivative_sees(hol
     assert ("NOT RESOLVED: the Hamiltonian, which should be constant, varies by" in repr(blind)) is not hold
 
 
+def test_a_corner_of_the_control_inside_of_an_interval_is_no_reason_to_doubt():
+    """The Hamiltonian varies by a thousandth of the cost, the cost is right to 2e-5."""
+    bounded = cg.solve(double_integrator(control_bounds=(-4.5, 4.5)), cg.Galerkin(2), 20)
+    assert bounded.cost == pytest.approx(6.227885682970176, rel=2e-5)
+    assert np.ptp(bounded.hamiltonian) > 1e-3
+    assert "NOT RESOLVED" not in repr(bounded)
+
+
 def test_a_path_without_costs_has_no_hamiltonian_that_varies():
     """What is left of it is rounding, and says nothing of the mesh."""
     move = cg.ControlProblem(
