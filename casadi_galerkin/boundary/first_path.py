@@ -23,9 +23,10 @@ from casadi_galerkin.problems.problem import map_times, with_values
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, relative_distance
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.newton import SEARCH_ITERATIONS, damped_newton
+from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
+WARM_ITERATIONS = 40  # most iterations of Newton's method before another strategy is tried; with more it moves far away
 FINE_MESH_FACTOR = 4  # factor on the intervals of a coarse mesh that is too coarse for any path; it was always enough
 GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a guess
 # truncation error of a guess on a first mesh: loose for corners and noise, tight for layers
@@ -46,7 +47,7 @@ def is_newton(solver: SolverLike) -> TypeGuard[Solver]:
 
 def warm_newton(solver: SolverLike) -> SolverLike:
     """Newton's method with few iterations, and with the options of `solver` if that is Newton's method, too."""
-    return partial(damped_newton, **{"max_iter": SEARCH_ITERATIONS, **(solver.options if is_newton(solver) else {})})
+    return partial(damped_newton, **{"max_iter": WARM_ITERATIONS, **(solver.options if is_newton(solver) else {})})
 
 
 def guess_on_resolving_mesh(
