@@ -1,10 +1,11 @@
 """The search by which `paths` finds several stationary paths on one mesh, without a guess.
 
-Curves of loaded paths are followed (`solvers.curve`), in turn from a known path, where the load begins to grow, to
-either side; and from a random smooth guess around one, which a load makes an equilibrium at first.  Where the load is
-zero there is a path; the curve is left there, and Newton's method of the package finds and verifies it.  Of Carrier's
-16 paths, growing loads alone found all from 2 of 5 seeds, both together from 9 of 10; and Newton's method from random
-guesses, even with deflation of the known paths, 5 of 13 geodesics on a torus in 100 solves.
+Curves of loaded paths are followed (`solvers.curve`): two from known paths, where a load begins to grow, and one from a
+random smooth guess around one, which a load makes an equilibrium at first; again and again, from the beginning where
+one has led to a path.  Where the load is zero there is a path; the curve is left there, and Newton's method of the
+package finds and verifies it.  Of Carrier's 16 paths, growing loads alone found all from 2 of 5 seeds, both together
+from all 5; and Newton's method from random guesses, even with deflation of the known paths, 5 of 13 geodesics on a
+torus in 100 solves.
 
 Under a constraint a growing load holds every node of the path where it pulls to, on a closed surface for ever, and the
 curves do not come back.  There all curves begin at guesses, moved onto the constraint.
@@ -47,7 +48,7 @@ RESOLVED_ERROR = 0.05  # largest estimated relative error of a path; that of zig
 SINGULAR_BELOW = (
     1e-3  # a second variation counts as zero below it, and below the root of the error; others are above 1e-2
 )
-AMPLITUDES = 0.5, 1.0, 2.0  # of guesses: small ones lead to paths of less action and a smaller index
+AMPLITUDES = 2.0 ** np.arange(-2, 6)  # of guesses: small ones lead to paths of less action and a smaller index
 RESOLVED_BY = "a higher degree or more intervals may"
 NO_PATH = (
     "There may be no path between these ends in this time; else give cg.solve a guess nearer to it, or come from an "
@@ -95,7 +96,7 @@ class Search:
         self.paths = list[Trajectory]()
         self.begun: list[np.ndarray] = []  # their unknowns on this mesh
         self.known: list[np.ndarray] = []  # node values of all critical points and their images, also of those dropped
-        self.solves = self.unresolved = self.singular = self.iterations = 0
+        self.solves = self.last = self.unresolved = self.singular = self.iterations = 0
         self.failure: ConvergenceError | None = None
         self.parts = DiscreteCalculus(transcription.method, mesh).node_parts
         self.measure(transcription.guess_on_mesh(None, mesh).values)
@@ -111,9 +112,8 @@ class Search:
 
     def run(self, count: int) -> list[Trajectory]:
         """Search until `count` paths are found, or `SOLVES_WITHOUT_A_PATH` in succession have found no new one."""
-        last = 0
         with progress("paths", count, "path") as advance:
-            while len(self.paths) < count and self.solves - last < SOLVES_WITHOUT_A_PATH:
+            while len(self.paths) < count and self.solves - self.last < SOLVES_WITHOUT_A_PATH:
                 self.solves += 1
                 known = len(self.paths)
                 with suppress(SolveFailure):
@@ -122,7 +122,7 @@ class Search:
                         if len(self.paths) == count:
                             break
                 if len(self.paths) > known:
-                    last = self.solves
+                    self.last = self.solves
                 advance(len(self.paths) - known)
                 if seconds_left() < 0:
                     break
@@ -132,8 +132,7 @@ class Search:
 
     def attempt(self) -> Iterator[Solution]:
         """Verified critical points of the next solve, which may be known already."""
-        turn, side = divmod(self.solves, 3)
-        loaded = bool(self.paths) and self.transcription.problem.constraint is None
+        loaded = (self.solves - self.last) % 3 and self.paths and self.transcription.problem.constraint is None
         if self.solves == 1:
             try:
                 yield self.transcription.critical_point(mesh=self.mesh).solution
@@ -143,21 +142,20 @@ class Search:
                 self.singular += isinstance(failure, ConjugatePointError)
         elif not self.transcription.numbering.positions:
             return  # without free positions there is no other guess, and no load
-        elif loaded and side:
-            yield from self.along_a_load(turn, -1.0 if side == 1 else 1.0)
+        elif loaded:
+            yield from self.along_a_load()
         else:
-            base = self.values(self.begun[turn % len(self.begun)]) if self.begun else 0.0
-            for amplitude in AMPLITUDES[turn % 3 :: 3] if loaded else AMPLITUDES:
-                values = base + amplitude * self.smooth(self.solves)
-                guess = self.on_constraint(self.transcription.guess_on_mesh(values, self.mesh).values)
-                curve = residual_load_curve(self.stationarity, self.unknowns(guess), self.data)
-                yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
-                self.iterations += curve.iterations
+            base = self.values(self.begun[self.solves % len(self.begun)]) if self.begun else 0.0
+            values = base + AMPLITUDES[self.solves % len(AMPLITUDES)] * self.smooth()
+            guess = self.on_constraint(self.transcription.guess_on_mesh(values, self.mesh).values)
+            curve = residual_load_curve(self.stationarity, self.unknowns(guess), self.data)
+            yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
+            self.iterations += curve.iterations
 
-    def smooth(self, number: int) -> np.ndarray:
-        """The random smooth function of a number at the nodes, of the size of each component; (d, N m + 1)."""
+    def smooth(self) -> np.ndarray:
+        """The random smooth function of this solve at the nodes, of the size of each component; (d, N m + 1)."""
         period = 1.0 if self.transcription.problem.periodic else 2.0
-        return waves(np.random.default_rng([SEED, number]), self.component_sizes, period)(self.parts)
+        return waves(np.random.default_rng([SEED, self.solves]), self.component_sizes, period)(self.parts)
 
     def on_constraint(self, values: np.ndarray) -> np.ndarray:
         """Node values moved onto the constraint, at right angles to it, and those of given ends as they were."""
@@ -175,13 +173,13 @@ class Search:
         values[:, [0, -1]] = np.where(fixed, given[:, [0, -1]], values[:, [0, -1]])
         return np.where(np.isfinite(values), values, given)
 
-    def along_a_load(self, turn: int, side: float) -> Iterator[Solution]:
-        """All paths on a curve of loaded paths, to one side of a known path."""
-        number = turn % len(self.paths)
+    def along_a_load(self) -> Iterator[Solution]:
+        """All paths on a curve of loaded paths, from a known path."""
+        number = self.solves % len(self.paths)
         begun, report = self.begun[number], f"Newton, along a load from action {self.paths[number].action:.6g}"
-        load = self.unknowns(self.smooth(turn)) / self.sizes**2
+        load = self.unknowns(self.smooth()) / self.sizes**2
         curve = LoadedCurve(self.stationarity, self.data, np.append(begun, 0.0), self.sizes, load)
-        for solution in curve.stationary_paths(side, report):
+        for solution in curve.stationary_paths(1.0, report):
             if self.same(self.values(solution.unknowns), self.values(begun)):
                 return  # the curve is closed
             yield solution
