@@ -191,7 +191,7 @@ def _final_iterate(linear: Linearization, at: Iterate, last: float, data: Data) 
     if not stays or last > QUADRATIC:
         return None
     direction, quotient = smallest_curvature(linear, at.unknowns, data)
-    if quotient * at.norm > ACCEPTED * EPS:  # 7 at most of rounding, 1e8 at kinks
+    if quotient * at.norm > SINGULAR:  # of rounding it was at most 90 eps, at kinks 1e8 eps
         return None
     with np.errstate(over="ignore", invalid="ignore"):  # of a singular Hessian it may be of any size
         direction, step = direction / at.sizes, at.step / at.sizes
