@@ -132,7 +132,7 @@ class Search:
 
     def attempt(self) -> Iterator[Solution]:
         """Verified critical points of the next solve, which may be known already."""
-        loaded = (self.solves - self.last) % 3 and self.paths and self.transcription.problem.constraint is None
+        constrained = self.transcription.problem.constraint is not None
         if self.solves == 1:
             try:
                 yield self.transcription.critical_point(mesh=self.mesh).solution
@@ -142,15 +142,17 @@ class Search:
                 self.singular += isinstance(failure, ConjugatePointError)
         elif not self.transcription.numbering.positions:
             return  # without free positions there is no other guess, and no load
-        elif loaded:
+        elif (self.solves - self.last) % 3 and self.paths and not constrained:
             yield from self.along_a_load()
         else:
             base = self.values(self.begun[self.solves % len(self.begun)]) if self.begun else 0.0
-            values = base + AMPLITUDES[self.solves % len(AMPLITUDES)] * self.smooth()
-            guess = self.on_constraint(self.transcription.guess_on_mesh(values, self.mesh).values)
-            curve = residual_load_curve(self.stationarity, self.unknowns(guess), self.data)
-            yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
-            self.iterations += curve.iterations
+            near, one = AMPLITUDES[1:4], AMPLITUDES[[self.solves % len(AMPLITUDES)]]
+            for amplitude in near if constrained and self.paths else one:
+                values = base + amplitude * self.smooth()
+                guess = self.on_constraint(self.transcription.guess_on_mesh(values, self.mesh).values)
+                curve = residual_load_curve(self.stationarity, self.unknowns(guess), self.data)
+                yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
+                self.iterations += curve.iterations
 
     def smooth(self) -> np.ndarray:
         """The random smooth function of this solve at the nodes, of the size of each component; (d, N m + 1)."""
