@@ -19,7 +19,7 @@ def test_an_answer_is_right_and_a_smooth_problem_has_one(seed):
     assert found.verdict == "right" or (found.verdict == "refused" and not found.trial.smooth)
 
 
-@pytest.mark.parametrize("seed", [6, 32, 21, *slow(231)])
+@pytest.mark.parametrize("seed", [6, 32, 21, 1256])
 def test_a_refusal_names_its_cause(seed):
     trial, tol = trust.trial(seed)
     cause = r"roundoff floor here|conjugate points|near t = .*(breakpoint|singularity)"

@@ -78,8 +78,8 @@ def agreement(graph: BoundaryGraph, path: PiecewisePolynomial) -> float:
         return 1.0  # nothing can vary
     agreed = 0.0
     for refinements in range(3):
-        higher = _responses(graph.higher, path, refinements)
-        lower = _responses(graph, path, refinements).at(higher.nodes)
+        higher = _responses(graph.higher, path, 1, refinements)
+        lower = _responses(graph, path, 0, refinements).at(higher.nodes)
         if np.isfinite(lower).all() and np.isfinite(higher.values).all():  # neither Hessian is singular
             means = np.array([np.mean(np.abs(values), axis=1) for values in (lower, higher.values)])
             means = np.maximum(means, EPS**0.5 * np.max(means) + TINY)
@@ -89,11 +89,14 @@ def agreement(graph: BoundaryGraph, path: PiecewisePolynomial) -> float:
     return agreed
 
 
-def _responses(graph: BoundaryGraph, path: PiecewisePolynomial, refinements: int) -> PiecewisePolynomial:
-    """Changes of a path by some forces: the components for the first force, then for the next."""
+def _responses(graph: BoundaryGraph, path: PiecewisePolynomial, steps: int, refinements: int) -> PiecewisePolynomial:
+    """Changes of a path by some forces, `steps` of Newton from it: the components for the first, then for the next."""
     unknowns, data = graph.on_path(path)
     with graph.stationarity.linearization() as at:
-        at.relinearize(unknowns, data)
+        gradient = at.relinearize(unknowns, data)
+        for _ in range(steps):
+            unknowns = unknowns + at.solve(gradient)[0]
+            gradient = at.relinearize(unknowns, data)
         forces = _generic_forces(graph, path, at.mass)
         varied = at.solve(*forces)
         for _ in range(refinements):
