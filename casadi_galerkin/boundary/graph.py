@@ -218,7 +218,7 @@ class BoundaryGraph:
                     by_heights = np.tensordot(slopes, shapes, ([1, 2], [2, 3])).reshape(len(residual), -1)
                     if not np.isfinite(by_heights).all():
                         break
-                    heights = heights - np.linalg.lstsq(by_heights, residual)[0].reshape(heights.shape)
+                    heights = heights - np.linalg.lstsq(by_heights, residual, rcond=None)[0].reshape(heights.shape)
         if not bent:
             raise ConvergenceError(
                 f"no path was found: small changes of the guess do not change its integrals, {(along + given).tolist()}"

@@ -143,7 +143,9 @@ def optimality_conditions(graph: ControlGraph, units: Units, data: Data) -> ca.F
     matrix = ca.vertcat(upper, ca.horzcat(across, ca.diag(ca.logic_not(kept))))
     missed = ca.vertcat(off + ca.if_else(held, 0.0, slope), missing + ca.if_else(kept, 0.0, multipliers))
     lagrangian = graph.gradient(x, p)[0] + ca.dot(multipliers, missing) + ca.dot(of_bounds, off)
-    by_data = (ca.densify(ca.jacobian(a, values)) for a in (missed, lagrangian))
+    # backwards, CasADi 3.8.0 fails at a call that returns a sparse matrix as well
+    forward = {"helper_options": {"ad_weight": 0.0}}
+    by_data = (ca.densify(ca.jacobian(a, values, forward)) for a in (missed, lagrangian))
     return ca.Function("conditions", [x, multipliers, of_bounds, values], [matrix, ca.fmax(weak, weakly), *by_data])
 
 

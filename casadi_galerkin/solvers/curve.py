@@ -236,7 +236,7 @@ class Curve(Generic[At]):
             if not np.isfinite(second).all():
                 return None
             matrix = np.block([[scaled, left[:, -1:]], [columns * second, np.zeros((2, 1))]])
-            *step, mu = -np.linalg.lstsq(matrix, np.concatenate((rows * residual, [values[-1], 0.0])))[0]
+            *step, mu = -np.linalg.lstsq(matrix, np.concatenate((rows * residual, [values[-1], 0.0])), rcond=None)[0]
             z, length = z + columns * step, np.linalg.norm(step)
             if not length < 1 / EPS:
                 return None
